@@ -147,7 +147,7 @@ def _days(data: CertificateFile) -> list[tuple[str, dt.date | None]]:
 
 def _digit_of(c: Coefficient) -> int:
     """Power of ten of the last significant digit of a coefficient in SI."""
-    return _significant_digit(Decimal(to_dsi(c.coverage.half_width, c.unit)), Decimal(to_dsi(c.value, c.unit)))
+    return _significant_digit(Decimal(to_dsi(c.expanded, c.unit)), Decimal(to_dsi(c.value, c.unit)))
 
 
 def _columns(calibration: Calibration) -> list[tuple[list[tuple[float, Coefficient]], Coefficient]]:

@@ -261,7 +261,7 @@ def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
         return shown_unit(one.key, one.unit)[0]
 
     def number(one: Conformity) -> Rounded:
-        return rounded(one.value * scale(one), one.coverage.half_width * scale(one))
+        return rounded(one.value * scale(one), one.expanded * scale(one))
 
     return (
         TableOf(conformity)

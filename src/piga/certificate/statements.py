@@ -15,7 +15,6 @@ from piga.certificate.certificate_file import (
     validity_ranges,
 )
 from piga.records.calibration import Calibration
-from piga.records.calibration.coefficient import Coverage
 
 _WORDS: dict[Status, str] = {
     "pass": "conforms",
@@ -54,7 +53,7 @@ class Conformity:
     low: float
     high: float
     value: float
-    coverage: Coverage
+    expanded: float
     status: Status
 
     @property
@@ -74,7 +73,7 @@ def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformit
         low, high = limits_in_file_units(c.unit, pair)
         least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
         status = _status(c.value, least, most, low, high)
-        conformities.append(Conformity(key, c.unit, low, high, c.value, c.coverage, status))
+        conformities.append(Conformity(key, c.unit, low, high, c.value, c.expanded, status))
     return tuple(conformities)
 
 

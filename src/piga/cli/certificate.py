@@ -178,9 +178,9 @@ def _bytes(path: Path) -> bytes:
 
 def _before(file: CertificateFile, data: Path) -> Calibration | None:
     """The calibration before adjustment. Its path is relative to the TOML file."""
-    from piga.records.calibration.document import read_calibration
+    from piga.records.calibration import Calibration
 
-    return read_calibration(data.parent / file.adjustment.before) if file.adjustment.before else None
+    return Calibration.from_json(data.parent / file.adjustment.before) if file.adjustment.before else None
 
 
 def _xml(

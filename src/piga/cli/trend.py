@@ -112,9 +112,9 @@ def _files(sources: list[Path]) -> list[Path]:
 
 def _entry(path: Path) -> HistoryEntry:
     """A file as a record. Its path is the id; the time is that of the evaluation."""
-    from piga.records.calibration.document import read_calibration
+    from piga.records.calibration import Calibration
 
-    calibration = read_calibration(path)
+    calibration = Calibration.from_json(path)
     created = calibration.provenance.created
     try:
         time = dt.datetime.fromisoformat(created)

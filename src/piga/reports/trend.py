@@ -220,7 +220,7 @@ def _at(trend: CoefficientTrend, years: float) -> str:
 
 def _last_day(trend: CoefficientTrend) -> str:
     point, scale = trend.points[-1], _scale(trend)
-    return _at(trend, point.time) or rounded(point.value * scale, point.coverage.half_width * scale).interval
+    return _at(trend, point.time) or rounded(point.value * scale, point.expanded * scale).interval
 
 
 def _drift(trend: CoefficientTrend) -> str | Cell:
@@ -259,7 +259,7 @@ def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
         .number("Value", lambda row: rounded(row[0].value * scale, row[0].std * scale).value, shown)
         .number("u without the shared part", lambda row: short(row[0].own * scale, 2), shown)
         .number("u", lambda row: short(row[0].std * scale, 2), shown)
-        .number("U (95 %)", lambda row: short(row[0].coverage.half_width * scale, 2), shown)
+        .number("U (95 %)", lambda row: short(row[0].expanded * scale, 2), shown)
         .number("Forecast ± 95 %", lambda row: _expected(row[0].forecast, scale), shown)
         .number("Score", lambda row: _score(row[0]))
         .table(caption)
@@ -303,7 +303,7 @@ def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetim
                 "time": time.isoformat(),
                 "value": point.value,
                 "std": point.std,
-                "half_width_95": point.coverage.half_width,
+                "half_width_95": point.expanded,
                 "own_std": point.own,
                 "own_half_width_95": point.own_half_width,
                 "expected": _forecast_document(point.forecast),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coefficient import TYPE_A_ONLY, Coverage, coverage_factor, is_of_reference
+from piga.records.calibration.coefficient import TYPE_A_ONLY, coverage_factor, is_of_reference
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn
@@ -56,7 +56,7 @@ Common = float | Mapping[str, float]
 class Point:
     """One record in a trend: value, combined standard uncertainty, and the record's own part of it, in file units.
 
-    ``coverage`` is that of the record's coefficient. ``own_half_width`` is the 95 % half-width of the own part.
+    ``expanded`` is the 95 % half-width of the record, ``own_half_width`` that of the own part.
     ``forecast`` comes from the records of earlier days; None if there are too few. ``score`` is the deviation from the
     forecast as a standard normal number, nan without forecast.
     """
@@ -67,7 +67,7 @@ class Point:
     value: float
     std: float
     own: float
-    coverage: Coverage
+    expanded: float
     own_half_width: float
     score: float
     forecast: Forecast | None
@@ -345,7 +345,7 @@ class _Records:
                 value=c.value,
                 std=c.std,
                 own=float(own[i]),
-                coverage=c.coverage,
+                expanded=c.expanded,
                 own_half_width=float(half[i]),
                 score=float(scores[i]),
                 forecast=forecasts[i],

@@ -170,7 +170,9 @@ def test_dcc_and_read_back(cal, tmp_path):
     path.write_bytes(raw)
     back = read_dcc(path)
     assert to_document(back) == to_document(cal)
-    assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
+    assert [(c.limits, c.coverage_factor) for c in back.coefficients] == [
+        (c.limits, c.coverage_factor) for c in cal.coefficients
+    ]
 
 
 def test_ledger(cal, tmp_path):
@@ -215,7 +217,7 @@ def test_conformity(cal, rule):
         limits = {"k0": tuple(f"{cal['k0'].value + sign * part * half!r} g" for sign in (-1, 1))}
         table = ConformityTable(specification="S", rule=rule, agreed_with_customer=True, limits=limits)
         (verdict,) = verdicts(msgspec.structs.replace(complete(), conformity=table), cal)
-        assert verdict.coverage.half_width == pytest.approx(half, rel=1e-9)
+        assert verdict.expanded == pytest.approx(half, rel=1e-9)
         assert verdict.status == (status if rule == "guarded" else "pass")
 
 
@@ -253,4 +255,6 @@ def test_old_files_are_read(cal, tmp_path):
     path.write_text(json.dumps(document))
     back = Calibration.from_json(path)
     assert back.surplus_observations == cal.surplus_observations
-    assert [c.coverage for c in back.coefficients] == [c.coverage for c in cal.coefficients]
+    assert [(c.limits, c.coverage_factor) for c in back.coefficients] == [
+        (c.limits, c.coverage_factor) for c in cal.coefficients
+    ]

@@ -473,9 +473,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         CalibrationError
             If the file is not a calibration record of a known schema.
         """
-        from piga.records.calibration.document import read_calibration
+        from piga.records.calibration.document import read_with_digest
 
-        return read_calibration(Path(path))
+        return read_with_digest(Path(path))[0]
 
 
 def _uncertainties(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:

@@ -1,23 +1,21 @@
 """A coefficient: value, uncertainty and unit, also in SI; its coverage factor k, expanded uncertainty U and limits; its budget.
 
-Every number for 95 % comes from this module. Terminal, report, calibration.json, certificate, DCC, decision rules,
-ledger and trend ask :attr:`Coefficient.coverage`. Only the joint region of a DCC uses another factor, :func:`joint_factor`.
-The budget has the sources of the uncertainty, and what each contributes to each coefficient.
+Every number for 95 % comes from :class:`Coefficient`. Only the joint region of a DCC uses another factor, :func:`joint_factor`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Literal, overload
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.terms import meaning_of, si_factor, si_unit_of, unit_of
-from piga.results import MOST_LINES, ByValue, Column, Result, Shown, Tabular, first_lines, shortened
+from piga.results import ByValue, Column, Result, Shown, Tabular
 
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
@@ -58,22 +56,6 @@ class StandSource:
     unit: str = "1"
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     reason: str = ""
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """95 % coverage of one coefficient, in the coefficient's unit.
-
-    ``factor`` is k. It is nan if ``monte_carlo`` is True: a Monte Carlo interval has no factor (JCGM 101, 5.3).
-    ``half_width`` is U: k u, or half the Monte Carlo interval. ``low`` and ``high`` are the limits of the interval.
-    Without Monte Carlo they are value -+ U.
-    """
-
-    factor: float
-    half_width: float
-    low: float
-    high: float
-    monte_carlo: bool
 
 
 def is_of_reference(source: str) -> bool:
@@ -120,11 +102,9 @@ def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
 def joint_factor(coefficients: Iterable[Coefficient]) -> float:
     """Coverage factor of the ellipsoid that holds all coefficients together with 95 %.
 
-    The region is ``(x - y)' V^-1 (x - y) <= k_p^2`` (JCGM 102, 6.5.2). Suppose one
-    estimated variance with nu degrees of freedom scales the whole covariance V of n coefficients. Then the quadratic
-    form over n is distributed as F(n, nu), and ``k_p = sqrt(n F_0.95(n, nu))``. Here each coefficient has its own
-    degrees of freedom, and nu is the smallest of them. The result is exact if all are equal; otherwise the region
-    holds at least 95 %. Infinite degrees of freedom give ``sqrt(chi2_0.95(n))``.
+    The region is ``(x - y)' V^-1 (x - y) <= k_p^2`` (JCGM 102, 6.5.2). If one estimated variance with nu degrees of
+    freedom scales the covariance V of n coefficients, ``k_p = sqrt(n F_0.95(n, nu))``; ``sqrt(chi2_0.95(n))`` for infinite
+    nu. Here nu is the smallest of all. The region is exact if all are equal, else it holds at least 95 %.
     """
     from scipy.special import chdtri, fdtri
 
@@ -140,16 +120,11 @@ LOOSE_PHASE = 0.5
 
 
 class SIValue(float):
-    """A coefficient in SI. It is a plain number to compute with, and carries its uncertainty.
+    """A coefficient in SI: a plain number with its uncertainty, half-width and ends of the 95 % interval, and SI unit.
 
     >>> bias = Coefficient("k0", 3e-4, 1e-6, "g").si
     >>> f"{bias:.7f} {bias.unit}, u = {bias.std:.2g}"
     '0.0029420 m/s^2, u = 9.8e-06'
-
-    Attributes
-    ----------
-    std, expanded, limits, unit:
-        Standard uncertainty, half-width and ends of the 95 % interval, and the SI unit.
     """
 
     std: float
@@ -190,8 +165,7 @@ class Coefficient(ByValue, Shown):
     @property
     def owner(self) -> str | None:
         """``segment``, ``run`` or ``run:segment``; None for a coefficient of the instrument."""
-        parts = [part for part in (self.run, self.segment) if part is not None]
-        return ":".join(parts) if parts else None
+        return ":".join(part for part in (self.run, self.segment) if part is not None) or None
 
     @property
     def key(self) -> str:
@@ -204,10 +178,13 @@ class Coefficient(ByValue, Shown):
 
         ``cal["scale_factor"].si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)].
         """
-        factor = si_factor(self.name)
-        number, covered = SIValue(self.value * factor), self.coverage
-        number.std, number.expanded = self.std * factor, covered.half_width * factor
-        number.limits = covered.low * factor, covered.high * factor
+        factor, (low, high) = si_factor(self.name), self.limits
+        number = SIValue(self.value_si)
+        number.std, number.expanded, number.limits = (
+            self.std * factor,
+            self.expanded * factor,
+            (low * factor, high * factor),
+        )
         number.unit = si_unit_of(self.name, self.unit.removesuffix("/g"))
         return number
 
@@ -217,38 +194,32 @@ class Coefficient(ByValue, Shown):
         return self.value * si_factor(self.name)
 
     @property
-    def coverage(self) -> Coverage:
-        """Coverage factor, expanded uncertainty and limits for 95 %.
-
-        ``U = k u``, with k from Student's t for the effective degrees of freedom (JCGM 100, G.4). If a Monte Carlo
-        propagation replaced the first order (``interval``), its interval is used instead (JCGM 101, 8.1).
-        """
-        if self.interval is not None:
-            low, high = self.interval
-            return Coverage(math.nan, 0.5 * (high - low), low, high, monte_carlo=True)
-        factor = coverage_factor(self.degrees_of_freedom)
-        half = factor * self.std
-        return Coverage(factor, half, self.value - half, self.value + half, monte_carlo=False)
-
-    @property
     def determined(self) -> bool:
         """False for a phase whose standard uncertainty is above ``LOOSE_PHASE``: the data do not determine it."""
         return self.name != "phi" or self.std <= LOOSE_PHASE
 
     @property
     def coverage_factor(self) -> float:
-        """Coverage factor for 95 %; nan where a Monte Carlo interval is used."""
-        return self.coverage.factor
+        """K for 95 %: Student's t for the effective degrees of freedom (JCGM 100, G.4).
+
+        It is nan where a Monte Carlo interval is used, which has no factor (JCGM 101, 5.3).
+        """
+        return math.nan if self.interval is not None else coverage_factor(self.degrees_of_freedom)
 
     @property
     def expanded(self) -> float:
-        """Half-width of the 95 % interval. It is the expanded uncertainty U if the budget is complete."""
-        return self.coverage.half_width
+        """Half-width of the 95 % interval, ``U = k u``. It is the expanded uncertainty if the budget is complete.
+
+        If a Monte Carlo propagation replaced the first order (``interval``), it is half that interval (JCGM 101, 8.1).
+        """
+        if self.interval is not None:
+            return 0.5 * (self.interval[1] - self.interval[0])
+        return self.coverage_factor * self.std
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Ends of the 95 % coverage interval."""
-        return self.coverage.low, self.coverage.high
+        """Ends of the 95 % coverage interval: value -+ U, or the Monte Carlo interval."""
+        return self.interval or (self.value - self.expanded, self.value + self.expanded)
 
     def heading(self) -> str:
         """Key and meaning."""
@@ -331,16 +302,9 @@ class BudgetEntry(Result):
             sensitivities={names[k]: v for k, v in self.sensitivities.items() if k in names},
         )
 
-    def document(self) -> dict[str, Any]:
-        """The entry as plain data for JSON."""
-        document = asdict(self)
-        if not self.sensitivities:
-            del document["sensitivities"]
-        return document
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BudgetTable(ByValue, Shown, Tabular):
+class BudgetTable(Result, Tabular):
     """The uncertainty budget: its sources in order. As a table it has one row for each source and coefficient.
 
     It is iterated and indexed as a tuple of :class:`BudgetEntry` is. It is not a tuple itself, because tools that read
@@ -355,17 +319,8 @@ class BudgetTable(ByValue, Shown, Tabular):
     def __len__(self) -> int:
         return len(self.entries)
 
-    @overload
-    def __getitem__(self, index: int) -> BudgetEntry: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[BudgetEntry, ...]: ...
-    def __getitem__(self, index: int | slice) -> BudgetEntry | tuple[BudgetEntry, ...]:
+    def __getitem__(self, index: int) -> BudgetEntry:
         return self.entries[index]
-
-    def __repr__(self) -> str:
-        rows = [f"{entry.source}, type {entry.type}, {entry.distribution}" for entry in self]
-        lines = ["<BudgetTable", *first_lines(rows, MOST_LINES - 1)]
-        return "\n  ".join(shortened(line) for line in lines) + ">"
 
     def heading(self) -> str:
         """The first line in a notebook."""
@@ -377,21 +332,21 @@ class BudgetTable(ByValue, Shown, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
-        rows = [(entry, key, value) for entry in self for key, value in entry.contributions.items()]
-        texts = {
-            "source": [entry.source for entry, _, _ in rows],
-            "type": [entry.type for entry, _, _ in rows],
-            "distribution": [entry.distribution for entry, _, _ in rows],
-            "coefficient": [key for _, key, _ in rows],
-            "unit": [unit_of(key) for _, key, _ in rows],
-        }
-        columns = {name: Column(np.array(values, dtype=object)) for name, values in texts.items()}
-        sizes = [entry.standard_uncertainty or Amount(math.nan, "") for entry, _, _ in rows]
-        contribution = np.array([value for _, _, value in rows], dtype=float)
-        return columns | {
-            "contribution": Column(contribution, "as in column unit"),
+        none = Amount(math.nan, "")
+        rows = [(e, e.standard_uncertainty or none, *pair) for e in self for pair in e.contributions.items()]
+
+        def texts(of: Callable[[BudgetEntry, Amount, str, float], str]) -> Column:
+            return Column(np.array([of(*row) for row in rows], dtype=object))
+
+        return {
+            "source": texts(lambda entry, *_: entry.source),
+            "type": texts(lambda entry, *_: entry.type),
+            "distribution": texts(lambda entry, *_: entry.distribution),
+            "coefficient": texts(lambda *row: row[2]),
+            "unit": texts(lambda *row: unit_of(row[2])),
+            "contribution": Column(np.array([row[3] for row in rows], float), "as in column unit"),
             "standard_uncertainty": Column(
-                np.array([size.value for size in sizes]), "as in column unit_of_source"
+                np.array([row[1].value for row in rows], float), "as in column unit_of_source"
             ),
-            "unit_of_source": Column(np.array([size.unit for size in sizes], dtype=object)),
+            "unit_of_source": texts(lambda *row: row[1].unit),
         }

@@ -1,8 +1,4 @@
-"""What a record was like, and what its model is worth: plain data.
-
-Events while reading, outliers, residuals of samples and segments; whiteness, leverage, missing terms, scatter, coloured noise
-and Monte Carlo.
-"""
+"""What a record was like, and what its model is worth: plain data."""
 
 from __future__ import annotations
 
@@ -276,7 +272,7 @@ class SegmentScatter:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Diagnostics(Result):
+class Diagnostics(Result, SegmentScatter):
     """Diagnostics of model and data. An entry without a result is None or empty.
 
     Attributes
@@ -288,8 +284,6 @@ class Diagnostics(Result):
         Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
     counting_probability:
         Probability of correlations at least this far from those of counting; None if they are white or the output is not counted.
-    segment_scatter_ratio, segment_scatter_g, segment_scatter_ratio_without_it:
-        See :class:`SegmentScatter`.
     leverage:
         Leverage of each segment, by label.
     advice, missing_terms:
@@ -314,9 +308,6 @@ class Diagnostics(Result):
     skewness: float | None = None
     excess_kurtosis: float | None = None
     verdict: str | None = None
-    segment_scatter_ratio: float | None = None
-    segment_scatter_g: float | None = None
-    segment_scatter_ratio_without_it: float | None = None
     leverage: dict[str, SegmentLeverage] = field(default_factory=dict)
     advice: tuple[str, ...] = ()
     missing_terms: tuple[MissingTerm, ...] = ()
@@ -327,13 +318,3 @@ class Diagnostics(Result):
     def with_scatter(self, scatter: SegmentScatter) -> Diagnostics:
         """A copy with this scatter of the segments."""
         return replace(self, **asdict(scatter))
-
-    def document(self) -> dict[str, Any]:
-        """Plain data for JSON, without the entries that have no result."""
-        document = {k: v for k, v in asdict(self).items() if v is not None and v not in ({}, ())}
-        if self.missing_terms:
-            document["missing_terms"] = list(document["missing_terms"])
-            for entry in document["missing_terms"]:
-                if not entry["scale_factor_under"]:
-                    del entry["scale_factor_under"]
-        return document

@@ -9,7 +9,7 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
@@ -34,7 +34,6 @@ from piga.records.limits import check_label, read_whole
 from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of
 from piga.records.text_files import JsonError, json_object
-from piga.results import Array
 from piga.units import conversion_factor, from_si, numbers_are_si, parse_unit, to_si
 
 SCHEMA = "piga.calibration/1"
@@ -139,8 +138,8 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         "condition": c.condition if math.isfinite(c.condition) else None,
         "coefficients": [_stated(k) for k in c.coefficients],
         "covariance": {"names": list(c), "matrix": c.covariance.tolist()},
-        "diagnostics": c.diagnostics.document(),
-        "budget": [row.document() for row in c.budget],
+        "diagnostics": {k: v for k, v in asdict(c.diagnostics).items() if v not in (None, {}, ())},
+        "budget": c.budget.entries,
         "outliers": c.outliers[:_MOST_OUTLIERS],
     }
     left_out = {name for name in ("runs", "outliers") if not values[name]}
@@ -153,6 +152,13 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         if field == "remarks":
             document["verdict"] = c.verdict.document()
     plain: dict[str, Any] = msgspec.to_builtins(document, enc_hook=float)
+    for key, entries in (
+        ("sensitivities", plain["uncertainty_budget"]),
+        ("scale_factor_under", plain["diagnostics"].get("missing_terms", ())),
+    ):
+        for entry in entries:
+            if not entry[key]:
+                del entry[key]
     for run in plain.get("runs", ()):
         for key in list(run):  # in order
             run["phase" if key == "phases" else key] = run.pop(key)
@@ -166,11 +172,10 @@ def _stated(c: Coefficient) -> dict[str, Any]:
     stated: dict[str, Any] = {"name": c.name, "value": c.value, "std": c.std, "unit": c.unit}
     stated |= {"segment": c.segment} if c.name == "phi" else {}
     stated |= {} if c.run is None else {"run": c.run}
-    nu, covered = c.degrees_of_freedom, c.coverage
-    stated["degrees_of_freedom"] = nu if math.isfinite(nu) else None
-    if covered.monte_carlo:
-        return stated | {"expanded": covered.half_width, "interval": [covered.low, covered.high]}
-    return stated | {"coverage_factor": covered.factor, "expanded": covered.half_width}
+    stated["degrees_of_freedom"] = c.degrees_of_freedom if math.isfinite(c.degrees_of_freedom) else None
+    if c.interval is not None:
+        return stated | {"expanded": c.expanded, "interval": list(c.interval)}
+    return stated | {"coverage_factor": c.coverage_factor, "expanded": c.expanded}
 
 
 def calibration_to_bytes(calibration: Calibration) -> bytes:
@@ -179,34 +184,26 @@ def calibration_to_bytes(calibration: Calibration) -> bytes:
     return f"{text}\n".encode()
 
 
-def read_calibration(path: Path) -> Calibration:
-    """Read a record.
+def read_with_digest(path: Path) -> tuple[Calibration, str]:
+    """Read a record, and the SHA-256 of its bytes. Compensation, certificates and the store all read through this check.
 
     Raises
     ------
     CalibrationError
         If the file is missing, is not a calibration record, is of a newer schema, or contradicts itself.
-        Compensation, certificates and the store all read through this check.
     """
-    return read_with_digest(path)[0]
-
-
-def read_with_digest(path: Path) -> tuple[Calibration, str]:
-    """Read a record and the SHA-256 of its bytes. Raises as :func:`read_calibration`."""
     check_results(path.parent)
     raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
     return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 
 
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
-    """Read a record from the bytes of its file; ``path`` names it in messages. Raises as :func:`read_calibration`."""
+    """Read a record from the bytes of its file; ``path`` names it in messages. Raises as :func:`read_with_digest`."""
     try:
         return _calibration(_decoded(raw))
-    except (JsonError, msgspec.ValidationError) as error:
-        why = str(error).replace("phases", "phase")
+    except (JsonError, msgspec.ValidationError, UnitError) as error:
+        why = error.message if isinstance(error, UnitError) else str(error).replace("phases", "phase")
         message, remedy = f"not a valid calibration record: {why}", "calibrate again"
-    except UnitError as error:
-        message, remedy = f"not a valid calibration record: {error.message}", "calibrate again"
     except PigaError as error:
         message, remedy = error.message, error.remedy
     raise CalibrationError(f"{path}: {message}", remedy=remedy, where=Where(path))
@@ -230,22 +227,22 @@ def _decoded(raw: bytes) -> Any:
 
 def _upgrade(document: dict[str, Any]) -> None:
     """Bring what a file says otherwise than :class:`Calibration`, today or in an earlier version, to its form."""
+
+    def tables(key: str) -> list[dict[str, Any]]:
+        entries = document.get(key)
+        return [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+
     if document.get("surplus_observations") is None and "degrees_of_freedom" in document:  # 0.1
         document["surplus_observations"] = document["degrees_of_freedom"]
     origin = document.get("provenance")
     if isinstance(origin, dict) and isinstance(origin.get("input_sha256"), str):  # 0.1: one input
         origin["input_sha256"] = {"input": origin["input_sha256"]}
-    for run in _tables(document, "runs"):
+    for run in tables("runs"):
         if "phase" in run:
             run["phases"] = run.pop("phase")
-    for coefficient in _tables(document, "coefficients"):
+    for coefficient in tables("coefficients"):
         if coefficient.get("degrees_of_freedom") is None:  # infinite
             coefficient.pop("degrees_of_freedom", None)
-
-
-def _tables(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    entries = document.get(key)
-    return [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
 
 
 def _calibration(document: Any) -> Calibration:
@@ -253,28 +250,25 @@ def _calibration(document: Any) -> Calibration:
     output = document.instrument.scale_factor_nominal.unit.rpartition("/")[0]
     is_angle = not output or parse_unit(output).dimension == parse_unit(GYRO).dimension
     unit = GYRO if is_angle else output
-    stated = {
-        field: getattr(getattr(document, section) if section else document, key)
-        for field, (section, key, _) in _PLACES.items()
-    }
-    stated = {field: value for field, value in stated.items() if value is not msgspec.UNSET}
-    values = {field: value.value if _PLACES[field][2] else value for field, value in stated.items()}
+    likes, values = _units(unit), {}
+    for field, (section, key, _) in _PLACES.items():
+        value = getattr(getattr(document, section) if section else document, key)
+        if field in likes and value is not msgspec.UNSET:
+            same = value.unit == likes[field] or not likes[field]
+            values[field] = value.value * (1.0 if same else conversion_factor(value.unit, likes[field]))
+        elif value is not msgspec.UNSET:
+            values[field] = value
     values["condition"] = math.inf if values["condition"] is None else values["condition"]
     values["scale_factor_nominal"] *= si_factor("scale_factor")
+    matrix = document.covariance.matrix
     calibration = Calibration(**values | {"covariance": np.empty((0, 0))}, unit=unit)
-    wrong = next(_faults(calibration), None)
+    wrong = next(_faults(calibration, document.covariance), None)
     if wrong is not None:
         raise CalibrationError(wrong, remedy="get the file from its author, or calibrate again")
-    matrix = _covariance(document.covariance, calibration)
-    scaled = {
-        field: values[field] * conversion_factor(stated[field].unit, like)
-        for field, like in _units(unit).items()
-        if like and field in values and stated[field].unit != like
-    }
-    return replace(calibration, covariance=matrix, **scaled)
+    return replace(calibration, covariance=np.array(matrix, dtype=float).reshape(len(matrix), -1))
 
 
-def _faults(c: Calibration) -> Iterator[str]:
+def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
     """What a record cannot say, and contradictions between its parts."""
     if c.serial:
         check_label(c.serial, "the serial")
@@ -300,6 +294,7 @@ def _faults(c: Calibration) -> Iterator[str]:
         dt.datetime.fromisoformat(c.provenance.created)
     except ValueError:
         yield f"provenance.created: '{c.provenance.created[:40]}' is not a time"
+    yield from _faults_of_covariance(covariance, c)
 
 
 def _faults_of(c: Coefficient, output: str) -> Iterator[str]:
@@ -322,40 +317,34 @@ def _faults_of(c: Coefficient, output: str) -> Iterator[str]:
         yield f"'{c.key}': the coefficient belongs to the instrument, not to a run"
 
 
-def _covariance(stated: _Covariance, calibration: Calibration) -> Array:
-    """The covariance matrix, after its checks.
+def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
+    """Faults of the covariance. It must be symmetric and positive semi-definite (to ``ROUNDING`` of the correlations).
 
-    It must be square, symmetric and positive semi-definite (to ``ROUNDING`` of the correlations), and in the
-    order of the coefficients. Its diagonal must be the squares of their standard uncertainties. The published
-    recursion of piga 0.1 left its covariance asymmetric by rounding: there the asymmetry is compared with the largest
-    element.
+    The published recursion of piga 0.1 left its covariance asymmetric by rounding: there the asymmetry is compared with the
+    largest element.
     """
-    again, size = "calibrate again", len(calibration)
-    if stated.names != tuple(calibration):
-        raise CalibrationError("covariance names differ from the coefficients", remedy=again)
+    size = len(c)
+    if stated.names != tuple(c):
+        yield "covariance names differ from the coefficients"
     if [len(row) for row in stated.matrix] != [size] * size:
-        raise CalibrationError("the covariance is not a full square matrix", remedy=again)
+        yield "the covariance is not a full square matrix"
     matrix = np.array(stated.matrix, dtype=float).reshape(size, size)
-    for c, variance in zip(calibration.coefficients, np.diag(matrix), strict=True):
+    for k, variance in zip(c.coefficients, np.diag(matrix).tolist(), strict=True):
         if variance < 0.0:
-            raise CalibrationError(f"the variance of '{c.key}' is negative", remedy=again)
+            yield f"the variance of '{k.key}' is negative"
         std = math.sqrt(variance)
-        if abs(std - c.std) > SAME * max(c.std, std):
-            raise CalibrationError(
-                f"the standard uncertainty of '{c.key}' is {c.std:.6g}, but the covariance gives {std:.6g}",
-                remedy=again,
-            )
+        if abs(std - k.std) > SAME * max(k.std, std):
+            yield f"the standard uncertainty of '{k.key}' is {k.std:.6g}, but the covariance gives {std:.6g}"
     scale = np.sqrt(np.diag(matrix))
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
-    compared = matrix if calibration.method == "published" else correlation
+    compared = matrix if c.method == "published" else correlation
     if np.abs(compared - compared.T).max() > ROUNDING * np.abs(compared).max():
-        raise CalibrationError("the covariance is not symmetric", remedy=again)
+        yield "the covariance is not symmetric"
     try:
         np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * ROUNDING * np.eye(size))
     except np.linalg.LinAlgError:
-        raise CalibrationError("the covariance is not positive semi-definite", remedy=again) from None
-    return matrix
+        yield "the covariance is not positive semi-definite"
 
 
 # -- given coefficients ---------------------------------------------------------------------------------
@@ -394,6 +383,9 @@ def calibration_of(
     given = tuple(
         replace(c, std=c.std or float(u), run=None, interval=None) for c, u in zip(named, std, strict=True)
     )
+    none: dict[str, Any] = {
+        name: 0.0 for name, (section, *_) in _PLACES.items() if section in ("noise", "residual")
+    }
     made = Calibration(
         serial=serial,
         scale_factor_nominal=_given_nominal(given, scale_factor_nominal, unit),
@@ -404,12 +396,7 @@ def calibration_of(
         coefficients=given,
         covariance=matrix,
         surplus_observations=0.0,
-        angle_rms=0.0,
-        angle_random_walk=0.0,
-        residual_rms=0.0,
-        residual_rms_before=0.0,
-        residual_max_before=0.0,
-        residual_max_after=0.0,
+        **none,
         quality=Quality(0, 0, 0),
         condition=math.inf,
         notes=("the coefficients were given, not estimated from a record: no test was made",),

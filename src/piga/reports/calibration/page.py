@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -439,7 +439,7 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     rows = [
         ("Condition number", short(cal.condition)),
         *_noise(cal),
-        *scalars({key: value for key, value in cal.diagnostics.document().items() if key not in OWN_TABLES}),
+        *scalars({key: value for key, value in asdict(cal.diagnostics).items() if key not in OWN_TABLES}),
     ]
     blocks.append(facts_table(rows))
     for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):

@@ -111,15 +111,14 @@ def freedom(coefficient: Coefficient) -> str:
 
 def factor(coefficient: Coefficient) -> str:
     """Coverage factor as printed; a dash where a Monte Carlo interval holds."""
-    k = coefficient.coverage.factor
+    k = coefficient.coverage_factor
     return "–" if math.isnan(k) else f"{k:.2f}"
 
 
 def monte_carlo_interval(coefficient: Coefficient) -> str:
     """Limits of the interval that holds, rounded by their width, with their unit: ``299.1 to 300.7 µg``."""
-    covered = coefficient.coverage
     scale, unit = shown_unit(coefficient.name, coefficient.unit)
-    ends = [rounded(end * scale, covered.half_width * scale).value for end in (covered.low, covered.high)]
+    ends = [rounded(end * scale, coefficient.expanded * scale).value for end in coefficient.limits]
     return f"{ends[0]} to {ends[1]} {pretty_unit(unit)}".rstrip()
 
 
