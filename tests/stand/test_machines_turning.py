@@ -155,15 +155,15 @@ def test_centrifuge_force_is_the_second_derivative_of_its_place(counter_rotating
     t = t[np.abs(t - np.round(t)) > 0.05]
     f, omega = stand.motion(t, NONE)
     # the arm points away from X0: at angle 0 the instrument is south of the spindle
-    angle = SPIN.nominal(t).angle
-    truth = inertial(lambda s: SPIN.nominal(s).angle + math.pi, lambda s: np.full(s.size, 1.3), t)
+    angle = SPIN.at(t, NONE)[0]
+    truth = inertial(lambda s: SPIN.at(s, NONE)[0] + math.pi, lambda s: np.full(s.size, 1.3), t)
     c, s = np.cos(angle), np.sin(angle)
     if not counter_rotating:
         truth = np.column_stack(
             [c * truth[:, 0] + s * truth[:, 1], c * truth[:, 1] - s * truth[:, 0], truth[:, 2]]
         )
     assert f == pytest.approx(truth, abs=3e-7)
-    spinning = 0.0 if counter_rotating else SPIN.nominal(t).rate
+    spinning = 0.0 if counter_rotating else SPIN.at(t, NONE)[1]
     assert omega[:, 2] - spinning == pytest.approx(EARTH_RATE * math.sin(SITE.latitude), abs=1e-12)
 
 
@@ -196,7 +196,7 @@ def test_imperfections_of_the_centrifuge(errors, relative):
 def test_rate_ripple_and_tilt_go_round_once():
     stand = Centrifuge(SITE, 1.3, SPIN)
     t = np.linspace(3.0, 3.0 + 2 * math.pi / 4, 41)[:-1]
-    angle = SPIN.nominal(t).angle
+    angle = SPIN.at(t, NONE)[0]
     change = force_change(stand, t, Imperfections(rate_ripple=1e-6))[:, 0]
     assert change == pytest.approx(1.3 * 16 * 2e-6 * np.cos(angle), abs=1e-9)
     tilted = force_change(stand, t, Imperfections(levelling=(0.0, 1e-6)))[:, 0]
@@ -207,11 +207,9 @@ def test_spin_integrates_and_differentiates():
     t = np.linspace(0.0, 8.0, 81)
     t = t[np.abs(t - np.round(t)) > 0.02]
     for errors in (NONE, Imperfections(rate_error=1e-2, rate_ripple=1e-2)):
-        spin = SPIN.true(t, errors)
-        assert spin.rate == pytest.approx(derivative(lambda s, e=errors: SPIN.true(s, e).angle, t), abs=1e-6)
-        assert spin.acceleration == pytest.approx(
-            derivative(lambda s, e=errors: SPIN.true(s, e).rate, t), abs=1e-5
-        )
+        _, rate, acceleration = SPIN.at(t, errors)
+        assert rate == pytest.approx(derivative(lambda s, e=errors: SPIN.at(s, e)[0], t), abs=1e-6)
+        assert acceleration == pytest.approx(derivative(lambda s, e=errors: SPIN.at(s, e)[1], t), abs=1e-5)
 
 
 def test_rate_table_turns_gravity_or_not():
@@ -253,12 +251,10 @@ def test_an_error_of_gravity_is_felt_along_the_vertical():
 def test_an_arm_on_the_table_feels_the_ramp():
     """Tangential force r w' on an offset arm, besides the centripetal one."""
     t = np.array([2.3, 2.5, 2.7])  # in the first ramp
-    spin = SPIN.nominal(t)
+    _, rate, acceleration = SPIN.at(t, NONE)
     f, _ = RateTable(SITE, SPIN, along="Z0", offset=0.2).motion(t, NONE)
-    assert np.abs(spin.acceleration).min() > 1.0
-    assert f == pytest.approx(
-        np.column_stack([-0.2 * spin.rate**2, 0.2 * spin.acceleration, np.full(3, 9.80166)])
-    )
+    assert np.abs(acceleration).min() > 1.0
+    assert f == pytest.approx(np.column_stack([-0.2 * rate**2, 0.2 * acceleration, np.full(3, 9.80166)]))
 
 
 def test_small_levels_are_levels_and_times_must_be_positive():
@@ -266,7 +262,7 @@ def test_small_levels_are_levels_and_times_must_be_positive():
     for dwell, ramp in ((0.0, 1.0), (1.0, 0.0)):
         with pytest.raises(ArgumentError, match="must be positive"):
             SpinPlan((1.0,), dwell, ramp)
-    assert SpinPlan((1.0,), 0.5, 0.5).segments()[0].duration == 0.5
+    assert RateTable(SITE, SpinPlan((1.0,), 0.5, 0.5)).segments()[0].duration == 0.5
 
 
 @pytest.mark.parametrize(

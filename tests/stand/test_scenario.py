@@ -47,7 +47,7 @@ def test_rates_go_up_and_down_unless_told_otherwise(tmp_path: Path) -> None:
     up = read_scenario(written(tmp_path, centrifuge('rates = ["1 rad/s", "2 rad/s"]\ndown = false'))).stand
     assert both.spin.rates == (1.0, 2.0, 1.0)
     assert up.spin.rates == (1.0, 2.0)
-    assert both.spin.resolution == pytest.approx(2 * math.pi / 2.0 / 200.0)
+    assert both.fastest == pytest.approx(2 * math.pi / 2.0 / 200.0)
 
 
 def test_profile_and_composite_from_a_scenario(tmp_path: Path) -> None:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga.platform.geometry import gravity, misalignment
-from piga.platform.navigator import Errors, Knowledge
+from piga.platform.navigator import Errors, Knowledge, true_knowledge
 from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.results import Array, Result
 from piga.units import DAY
 
-CHANNELS = ("east_velocity", "north_velocity", "heading", "roll", "pitch")
+_COLUMNS = {"east_velocity": 1, "north_velocity": 0, "heading": 5, "roll": 3, "pitch": 4}
+"""Columns of the channels in a table of velocity (north, east, down) and attitude (roll, pitch, heading)."""
+CHANNELS = tuple(_COLUMNS)
 _SCHULER = float(np.sqrt(earth.GM / earth.SEMI_MAJOR_AXIS**3))
 _ALIKE = 1e-9
 """Largest relative difference of two rates that count as equal."""
@@ -27,13 +29,8 @@ _NEIGHBOURS = 4.0 * 3600.0
 
 def channels(errors: Errors) -> dict[str, Array]:
     """The error channels whose lines are followed: velocities [m/s], attitude [rad]."""
-    return {
-        "east_velocity": errors.velocity[:, 1],
-        "north_velocity": errors.velocity[:, 0],
-        "heading": errors.attitude[:, 2],
-        "roll": errors.attitude[:, 0],
-        "pitch": errors.attitude[:, 1],
-    }
+    table = np.concatenate([errors.velocity, errors.attitude], axis=1)
+    return {name: table[:, column] for name, column in _COLUMNS.items()}
 
 
 def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -> Array:
@@ -125,6 +122,12 @@ class Lines(Result):
     position: Array
     equatorial: Mapping[str, Array] = field(default_factory=dict)
 
+    @property
+    def by_case(self) -> dict[str, Mapping[str, Array]]:
+        """The amplitudes that there are, by the name of their case's line in documents."""
+        named = {"line": self.amplitude, "equatorial_line": self.equatorial}
+        return {name: amplitude for name, amplitude in named.items() if amplitude}
+
 
 def day_slices(times: Array) -> list[slice]:
     """Rows of each day of the run (1-based days; the last may be shorter)."""
@@ -178,19 +181,20 @@ def lines_note(scenario: PlatformScenario) -> str:
 def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: float) -> Lines:
     """Line amplitudes of every channel, day by day, at the case ``rates`` [rad/s] (one, or polar and equatorial)."""
     rates = rates if isinstance(rates, tuple) else (rates,)
-    named = channels(errors)
-    table = np.stack([named[name] for name in CHANNELS], axis=1)
-    parts = day_slices(errors.times)
-    amplitude = np.empty((len(parts), len(rates), len(CHANNELS)))
+    table, parts = np.stack(list(channels(errors).values()), axis=1), day_slices(errors.times)
+    amplitude = np.empty((len(rates), len(parts), len(CHANNELS)))
     for length in {part.stop - part.start for part in parts}:
         days = [k for k, part in enumerate(parts) if part.stop - part.start == length]
         values = np.concatenate([table[parts[k]] for k in days], axis=1)
         fitted = fitted_lines(errors.times[parts[days[0]]], values, rates, latitude)
-        amplitude[days] = fitted.reshape(len(rates), len(days), len(CHANNELS)).swapaxes(0, 1)
+        amplitude[:, days] = fitted.reshape(len(rates), len(days), len(CHANNELS))
     horizontal = errors.horizontal
     position = np.array([horizontal[part].max() for part in parts])
-    each = [{name: amplitude[:, r, k] for k, name in enumerate(CHANNELS)} for r in range(len(rates))]
-    return Lines(np.arange(1, len(parts) + 1), each[0], position, each[1] if len(each) > 1 else {})
+    return _lines([dict(zip(CHANNELS, one.T, strict=True)) for one in amplitude], position)
+
+
+def _lines(by_case: list[dict[str, Array]], position: Array) -> Lines:
+    return Lines(np.arange(1, len(position) + 1), by_case[0], position, by_case[1] if len(by_case) > 1 else {})
 
 
 def theory_lines(
@@ -210,8 +214,7 @@ def theory_lines(
     middles = [0.5 * float(times[d.start] + times[d.stop - 1]) for d in days]
     left = np.array([_left_about_pole(scenario, model, knowledge, middle, rates) for middle in middles])
     lines = [_channels_of_turn(scenario, left[:, k], rate) for k, rate in enumerate(rates)]
-    nothing = np.full(len(days), np.nan)
-    return Lines(np.arange(1, len(days) + 1), lines[0], nothing, lines[1] if len(lines) > 1 else {})
+    return _lines(lines, np.full(len(days), np.nan))
 
 
 def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> dict[str, Array]:
@@ -234,26 +237,27 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
 def _left_about_pole(
     scenario: PlatformScenario, model: Model, knowledge: Knowledge, time: float, rates: tuple[float, ...]
 ) -> list[float]:
-    """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``."""
-    drift = scenario.equatorial.drift[0] - scenario.polar.drift[1]
-    eta = scenario.redundancy + drift * time
-    left = _about_pole(scenario.polar, scenario.equatorial, eta)
+    """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``.
+
+    A gyro's line orders over its case turn put order ``rate / case`` at ``rate``, if that is whole.
+    """
+    truth = true_knowledge(scenario)
+    eta = truth.eta0 + truth.eta_rate * time
+    left = _about_pole(truth.polar, truth.equatorial, eta)
     if model != "none":
         polar, equatorial = knowledge.polar, knowledge.equatorial
         if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
         left = left - _about_pole(polar, equatorial, knowledge.eta0 if model == "A" else eta)
-    orders = np.fft.fft(left) / 128.0
-    turning = rates if len(rates) == 2 else rates * 2
-    return [
-        float(np.abs(sum(_at_rate(o, w, rate) for o, w in zip(orders, turning, strict=True)))) for rate in rates
-    ]
-
-
-def _at_rate(orders: NDArray[np.complex128], case: float, rate: float) -> complex:
-    """What a gyro's line orders (256,) over its case turn put at ``rate``: order ``rate / case``, if that is whole."""
-    order = round(rate / case) if case > 0.0 else 0
-    return complex(orders[order]) if 0 < order < 128 and abs(order * case - rate) <= _ALIKE * rate else 0.0j
+    lines, amplitudes = np.fft.fft(left) / 128.0, []
+    for rate in rates:
+        total = 0.0j
+        for line, case in zip(lines, rates if len(rates) == 2 else rates * 2, strict=True):
+            order = round(rate / case) if case > 0.0 else 0
+            if 0 < order < 128 and abs(order * case - rate) <= _ALIKE * rate:
+                total += complex(line[order])
+        amplitudes.append(abs(total))
+    return amplitudes
 
 
 def _about_pole(polar: Gyro, equatorial: Gyro, eta: float) -> Array:

@@ -27,7 +27,6 @@ from piga.platform.analysis import (
 from piga.platform.geometry import local_axes
 from piga.platform.identify import Identification, identify
 from piga.platform.navigator import (
-    CaseCompensator,
     Errors,
     Knowledge,
     Navigation,
@@ -69,7 +68,6 @@ class Preparation:
 class ModelRun:
     """One compensation model over the run: navigation, errors, lines per day, and theory."""
 
-    compensator: CaseCompensator
     navigation: Navigation
     errors: Errors
     lines: Lines
@@ -133,21 +131,19 @@ def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
     stretch, place = run.readouts.first(s.calibration_time), s.place
-    identification, aligned, notes = None, None, [note for note in (lines_note(s), theory_note(s)) if note]
+    identification, aligned, notes = None, None, [lines_note(s), theory_note(s)]
     if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
         identification = identify(stretch, place, sources=sources_of(run), orders=c.orders, progress=progress)
         notes = [*identification.notes, *notes]
     elif c.misalignment == "identified":
         notes.insert(0, "the cases are at rest: nothing can be identified; the true misalignments are used")
     knowledge = true_knowledge(s) if identification is None else identification.knowledge
-    start = true_start(run.truth)
     attitude = c.attitude or ("aligned" if run.truth.motion.at_rest else "true")
     if "aligned" in (attitude, c.drift):
         aligned = align(stretch, place, knowledge, orders=c.orders, progress=progress)
-        if attitude == "aligned":
-            start = aligned.start(with_drift=False)
+    start = aligned.start(with_drift=False) if aligned and attitude == "aligned" else true_start(run.truth)
     start = replace(start, drift=_drift(s, aligned))
-    return Preparation(knowledge, start, identification, aligned, tuple(notes))
+    return Preparation(knowledge, start, identification, aligned, tuple(note for note in notes if note))
 
 
 def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
@@ -167,10 +163,9 @@ def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every
     navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
     error = errors(navigation, run.truth, run.readouts)
     lines = daily_lines(error, case_rates(s), s.place.latitude)
-    theory = None
-    if has_theory(s):
-        theory = theory_lines(s, model, preparation.knowledge, day_slices(error.times), error.times)
-    return ModelRun(made, navigation, error, lines, theory)
+    days = day_slices(error.times)
+    theory = theory_lines(s, model, preparation.knowledge, days, error.times) if has_theory(s) else None
+    return ModelRun(navigation, error, lines, theory)
 
 
 def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> ModelComparisonRun:
@@ -189,8 +184,7 @@ def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> 
     steps("simulating")
     run = simulate(scenario)
     steps("identifying and aligning")
-    preparation = prepare(run)
-    models, every = {}, max(1, round(1.0 / scenario.step))  # a row a second
+    preparation, models, every = prepare(run), {}, max(1, round(1.0 / scenario.step))  # a row a second
     for m in named:
         steps(f"navigating, model {m}")
         models[m] = run_model(run, preparation, m, every=every)
@@ -200,23 +194,26 @@ def compare(scenario: PlatformScenario, *, progress: Progress | None = None) -> 
 
 def last_east_lines(lines: Lines) -> list[float]:
     """East velocity lines [m/s] of the last day: at the polar case's rate and, at another speed, the equatorial one's."""
-    each = (lines.amplitude, lines.equatorial)
-    return [float(amplitude["east_velocity"][-1]) for amplitude in each if amplitude]
+    return [float(amplitude["east_velocity"][-1]) for amplitude in lines.by_case.values()]
 
 
-def _shown_in(channel: str) -> tuple[float, str]:
-    """Unit of a channel in documents: its size in SI, and its ending in keys."""
-    return (1.0, "m_s") if channel.endswith("velocity") else (ARCMIN, "arcmin")
+def _shown(label: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Amplitudes by channel as numbers of a document, in m/s or arcmin; a missing line is null."""
+    document = {}
+    for name, value in values.items():
+        size, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+        numbers = np.asarray(value / size).tolist()
+        document[f"{name}_{label}_{unit}"] = (
+            [finite(number) for number in numbers] if isinstance(numbers, list) else finite(numbers)
+        )
+    return document
 
 
 def _lines_document(lines: Lines) -> dict[str, Any]:
-    document: dict[str, Any] = {"day": [int(day) for day in lines.day]}
-    for amplitude, label in ((lines.amplitude, "line"), (lines.equatorial, "equatorial_line")):
-        for name, values in amplitude.items():
-            scale, unit = _shown_in(name)
-            document[f"{name}_{label}_{unit}"] = [finite(value) for value in (values / scale).tolist()]
-    document["position_error_m"] = [finite(value) for value in lines.position.tolist()]
-    return document
+    document: dict[str, Any] = {"day": lines.day.tolist()}
+    for label, amplitude in lines.by_case.items():
+        document |= _shown(label, amplitude)
+    return document | {"position_error_m": [finite(value) for value in lines.position.tolist()]}
 
 
 # -- error budget --------------------------------------------------------------------------------------------
@@ -304,16 +301,13 @@ def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
 
 
 def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
-    full = perturbed_errors(run, perturbation)
-    step, damping = float(full.times[1] - full.times[0]), run.scenario.damping_time
-    place, duration = run.scenario.place, float(full.times[-1])
-    linear = linear_errors(place, perturbation, duration, step=step, damping_time=damping)[1:]
-    north, east = full.north - quiet.north, full.east - quiet.east
-    velocity = full.velocity - quiet.velocity
-    return BudgetRow(source, *(float(np.hypot(a, b).max()) for a, b in (
-        (linear[:, 1], linear[:, 2]), (north, east), (linear[:, 4], linear[:, 5]), (velocity[:, 0], velocity[:, 1]),
-        (north - linear[:, 1], east - linear[:, 2]),
-    )))  # fmt: skip
+    full, s = perturbed_errors(run, perturbation), run.scenario
+    step, duration = float(full.times[1] - full.times[0]), float(full.times[-1])
+    linear = linear_errors(s.place, perturbation, duration, step=step, damping_time=s.damping_time)[1:]
+    place = np.stack([full.north - quiet.north, full.east - quiet.east], axis=1)
+    velocity = (full.velocity - quiet.velocity)[:, :2]
+    both = (linear[:, 1:3], place, linear[:, 4:6], velocity, place - linear[:, 1:3])
+    return BudgetRow(source, *(float(np.hypot(*pair.T).max()) for pair in both))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -340,10 +334,9 @@ def line_budget(
     rotations = (scenario.polar_rotation, scenario.equatorial_rotation)
     if any(r.rate == 0.0 or r.turns > 0 for r in rotations):
         return ()
-    sizes = [
-        ARCSEC if identification is None else identification[f"{gyro}.misalignment"].std
-        for gyro in ("polar", "equatorial")
-    ]
+    sizes = [ARCSEC] * 2
+    if identification is not None:
+        sizes = [identification[f"{gyro}.misalignment"].std for gyro in ("polar", "equatorial")]
     growth = scenario.equatorial.drift[0] - scenario.polar.drift[1]
     still = replace(scenario.without_errors(), motion=MotionPlan(heading=scenario.motion.heading))
     rows: list[LineRow] = []
@@ -366,21 +359,18 @@ def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
     every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(rates)) / scenario.step))
     ran = run_model(run, known, "none", every=every)
     if ran.theory is not None:
-        pairs = ((ran.theory.amplitude, ran.lines.amplitude), (ran.theory.equatorial, ran.lines.equatorial))
-        for rate, lines in zip(rates, pairs, strict=False):
-            if max(lines[0]["heading"]) > 0.0:
-                last = ({name: float(v[-1]) for name, v in one.items()} for one in lines)
+        both = zip(rates, ran.theory.by_case.values(), ran.lines.by_case.values(), strict=True)
+        for rate, theory, full in both:
+            if max(theory["heading"]) > 0.0:
+                last = ({name: float(v[-1]) for name, v in one.items()} for one in (theory, full))
                 yield LineRow(source, 2.0 * np.pi / rate, *last)
 
 
 def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
     """Lines of each misalignment alone and of both as JSON rows. A missing line is null."""
-    document = []
-    for row in rows:
-        entry: dict[str, Any] = {"source": row.source, "period_s": row.period}
-        for name, theory in row.theory.items():
-            scale, unit = _shown_in(name)
-            linear, full = finite(theory / scale), finite(row.full[name] / scale)
-            entry |= {f"{name}_line_linear_{unit}": linear, f"{name}_line_full_{unit}": full}
-        document.append(entry)
-    return document
+    return [
+        {"source": row.source, "period_s": row.period}
+        | _shown("line_linear", row.theory)
+        | _shown("line_full", row.full)
+        for row in rows
+    ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,7 +12,7 @@ from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.records.arrays import BLOCK_ROWS
-from piga.results import Array, Result
+from piga.results import Array
 from piga.stand.profile import NONE, Imperfections, Segment, plan, plan_holds
 from piga.units import to_si
 
@@ -25,14 +24,17 @@ def turned(vector: Array, angle: Array) -> Array:
     return np.column_stack([c * x + s * y, c * y - s * x, np.full(angle.shape, z)])
 
 
-def _in_axes(matrix: Array, vectors: Array) -> Array:
-    """Each row of ``vectors`` (n, 3) multiplied by ``matrix`` (3, 3).
+def _in_axes(matrix: Array, *motion: Array) -> tuple[Array, Array]:
+    """Rows of force and rate (n, 3) multiplied by ``matrix`` (3, 3).
 
     The product is written out, because the rounding of a matrix product may depend on the number of rows. The
     result at one time must not depend on the other times of the call.
     """
-    x, y, z = vectors.T
-    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
+    force, rate = (
+        np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
+        for x, y, z in (vectors.T for vectors in motion)
+    )
+    return force, rate
 
 
 def _small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
@@ -47,11 +49,11 @@ def _up_and_earth(site: Site, errors: Imperfections, azimuth: float | None) -> t
     """
     north, up = EARTH_RATE * math.cos(site.latitude), EARTH_RATE * math.sin(site.latitude)
     if azimuth is None:
-        tilt = _small_turn(*errors.levelling)
-        return tilt @ np.array([0.0, 0.0, 1.0]), tilt @ np.array([north, 0.0, up])
-    tilt = _small_turn(0.0, *errors.levelling[::-1])
-    rate = np.array([up, -math.sin(azimuth) * north, math.cos(azimuth) * north])
-    return tilt @ np.array([1.0, 0.0, 0.0]), tilt @ rate
+        tilt, axes = _small_turn(*errors.levelling), ([0.0, 0.0, 1.0], [north, 0.0, up])
+    else:
+        across, along = -math.sin(azimuth) * north, math.cos(azimuth) * north
+        tilt, axes = _small_turn(0.0, *errors.levelling[::-1]), ([1.0, 0.0, 0.0], [up, across, along])
+    return tilt @ np.array(axes[0]), tilt @ np.array(axes[1])
 
 
 def _turned_field(
@@ -88,12 +90,6 @@ def mount(axis: str, what: str = "mount") -> Array:
     return _ALONG_Z[name] @ flip
 
 
-def _smooth_step(u: Array) -> tuple[Array, Array, Array]:
-    """Cycloid from 0 to 1 over ``u`` in [0, 1], with its first two derivatives with respect to ``u``."""
-    w = 2.0 * math.pi * np.clip(u, 0.0, 1.0)
-    return (w - np.sin(w)) / (2.0 * math.pi), 1.0 - np.cos(w), 2.0 * math.pi * np.sin(w)
-
-
 @dataclass(frozen=True)
 class DividingHead:
     """A horizontal axis with the instrument's input axis across it.
@@ -101,20 +97,10 @@ class DividingHead:
     At position angle ``x`` the specific force is ``g (cos x, -sin x, 0)`` (with ``roll = 0``): the base is
     turned by ``+x`` about ``Z0``, which lies along the head's axis.
 
-    Parameters
-    ----------
-    site:
-        Place and local gravity.
-    positions:
-        Position angles [rad] in test order. The head turns by the plain difference between them.
-    dwell, move:
-        Recorded time in a position and time of a move [s].
-    roll:
-        Rotation of the instrument about its input axis on the head [rad].
-    azimuth:
-        Direction of the head's axis from north over east [rad].
-    settling_time:
-        Time constant of the imperfection ``settling`` [s].
+    ``positions`` [rad] in test order; the head turns by the plain difference between them. ``dwell`` and ``move`` [s]:
+    recorded time in a position, and time of a move. ``roll`` [rad]: rotation of the instrument about its input axis.
+    ``azimuth`` [rad]: direction of the head's axis from north over east. ``settling_time`` [s]: time constant of the
+    imperfection ``settling``.
     """
 
     site: Site
@@ -157,18 +143,17 @@ class DividingHead:
         following = np.minimum(k + 1, x.size - 1)
         start = x[k] + decay
         way = x[following] + residue[following] - start
-        s, ds, _ = _smooth_step((inside - self.dwell) / self.move)
+        w = 2.0 * math.pi * np.clip((inside - self.dwell) / self.move, 0.0, 1.0)  # a cycloid
         moving = (inside > self.dwell) & (following > k)
-        angle = np.where(moving, start + way * s, start)
-        rate = np.where(moving, way * ds / self.move, -decay / self.settling_time)
+        angle = np.where(moving, start + way * ((w - np.sin(w)) / (2.0 * math.pi)), start)
+        rate = np.where(moving, way * (1.0 - np.cos(w)) / self.move, -decay / self.settling_time)
         return angle, rate
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         angle, rate = self.angle(t, errors)
         force, base_rate = _turned_field(self.site, errors, self.azimuth, angle, rate)
-        roll = axis_turn(0, self.roll)
-        return _in_axes(roll, force), _in_axes(roll, base_rate)
+        return _in_axes(axis_turn(0, self.roll), force, base_rate)
 
 
 def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
@@ -189,15 +174,6 @@ def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
     return tuple(first + step * k for k in range(count))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Spin(Result):
-    """Angle [rad], rate [rad/s] and angular acceleration [rad/s^2] at some times, (n,) each."""
-
-    angle: Array
-    rate: Array
-    acceleration: Array
-
-
 @dataclass(frozen=True)
 class SpinPlan:
     """Rates [rad/s] held for ``dwell`` [s], with cosine ramps of ``ramp`` [s] between them."""
@@ -212,18 +188,8 @@ class SpinPlan:
         if self.dwell <= 0.0 or self.ramp <= 0.0:
             raise ArgumentError("dwell and ramp must be positive", remedy="give times above 0 s")
 
-    @property
-    def resolution(self) -> float:
-        """Step [s] that resolves a ramp (1/100 of it) and a revolution (1/200 of it)."""
-        fastest = max(abs(rate) for rate in self.rates)
-        return min(self.ramp / 100.0, 2.0 * math.pi / max(fastest, 1e-9) / 200.0)
-
-    def segments(self) -> tuple[Segment, ...]:
-        """Levels ``0, 1, ...`` are recorded. The ramps between them are not."""
-        return plan_holds(len(self.rates), self.dwell, "ramp", self.ramp)
-
-    def nominal(self, t: Array) -> Spin:
-        """The spin without imperfections."""
+    def at(self, t: Array, errors: Imperfections) -> tuple[Array, Array, Array]:
+        """Angle [rad], rate [rad/s] and angular acceleration [rad/s^2], (n,), with ``rate_error`` and ``rate_ripple``."""
         rates = np.array(self.rates)
         steps = np.diff(rates, append=rates[-1])
         cycle = self.dwell + self.ramp
@@ -233,18 +199,16 @@ class SpinPlan:
         inside = t - k * cycle
         u = np.clip((inside - self.dwell) / self.ramp, 0.0, 1.0)
         ramped = steps[k] * self.ramp * (0.5 * u - np.sin(math.pi * u) / (2.0 * math.pi))
-        angle = before[k] + rates[k] * inside + ramped
-        rate = rates[k] + 0.5 * steps[k] * (1.0 - np.cos(math.pi * u))
-        acceleration = 0.5 * steps[k] * np.sin(math.pi * u) * math.pi / self.ramp
-        return Spin(angle, rate, acceleration)
-
-    def true(self, t: Array, errors: Imperfections) -> Spin:
-        """The spin with the imperfections ``rate_error`` and ``rate_ripple``."""
-        spin, scale, ripple = self.nominal(t), 1.0 + errors.rate_error, errors.rate_ripple
-        angle, rate = scale * spin.angle, scale * spin.rate
+        scale, ripple = 1.0 + errors.rate_error, errors.rate_ripple
+        angle = scale * (before[k] + rates[k] * inside + ramped)
+        rate = scale * (rates[k] + 0.5 * steps[k] * (1.0 - np.cos(math.pi * u)))
+        acceleration = scale * (0.5 * steps[k] * np.sin(math.pi * u) * math.pi / self.ramp)
         swing = 1.0 + ripple * np.cos(angle)
-        acceleration = scale * spin.acceleration * swing - ripple * rate**2 * np.sin(angle)
-        return Spin(angle + ripple * np.sin(angle), rate * swing, acceleration)
+        return (
+            angle + ripple * np.sin(angle),
+            rate * swing,
+            acceleration * swing - ripple * rate**2 * np.sin(angle),
+        )
 
 
 class _Spinning:
@@ -254,12 +218,13 @@ class _Spinning:
 
     @property
     def fastest(self) -> float:
-        """Step [s] that resolves a ramp and, if the force turns in the base, a revolution."""
-        return self.spin.resolution
+        """Step [s] that resolves a ramp (1/100 of it) and a revolution (1/200 of it)."""
+        fastest = max(abs(rate) for rate in self.spin.rates)
+        return min(self.spin.ramp / 100.0, 2.0 * math.pi / max(fastest, 1e-9) / 200.0)
 
     def segments(self) -> tuple[Segment, ...]:
-        """Constant rates or levels (recorded) and ramps (not recorded)."""
-        return self.spin.segments()
+        """Constant rates or levels ``0, 1, ...`` (recorded) and the ramps between them (not recorded)."""
+        return plan_holds(len(self.spin.rates), self.spin.dwell, "ramp", self.spin.ramp)
 
 
 @dataclass(frozen=True)
@@ -271,22 +236,9 @@ class Centrifuge(_Spinning):
     rotation. The base turns with the arm. On a counter-rotating platform the base keeps its
     direction at angle 0, and the specific force turns in the base.
 
-    Parameters
-    ----------
-    site:
-        Place and local gravity.
-    radius:
-        Arm radius at rest [m].
-    spin:
-        Levels, dwell and ramps.
-    stretch:
-        Known relative growth of the radius per squared rate [s^2/rad^2].
-    counter_rotating:
-        True: the instrument is on a platform that rotates against the arm.
-    outward:
-        True: ``X0`` points away from the spindle, so the specific force is negative.
-    roll:
-        Rotation of the instrument about its input axis [rad].
+    ``radius`` [m] of the arm at rest; ``stretch`` [s^2/rad^2]: its known relative growth per squared rate.
+    ``counter_rotating``: the instrument is on a platform that rotates against the arm. ``outward``: ``X0`` points away
+    from the spindle, so the specific force is negative. ``roll`` [rad]: rotation of the instrument about its input axis.
     """
 
     site: Site
@@ -306,19 +258,19 @@ class Centrifuge(_Spinning):
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
-        spin = self.spin.true(t, errors)
-        force, rate = _turned_field(self.site, errors, None, spin.angle, spin.rate)
+        angle, speed, acceleration = self.spin.at(t, errors)
+        force, rate = _turned_field(self.site, errors, None, angle, speed)
         earth = _up_and_earth(self.site, errors, None)[1]
-        squared = spin.rate**2
+        squared = speed**2
         radius = (self.radius + errors.arm_radius) * (1.0 + (self.stretch + errors.arm_stretch) * squared)
-        coriolis = 2.0 * radius * spin.rate
+        coriolis = 2.0 * radius * speed
         force[:, 0] += radius * squared + coriolis * earth[2]
-        force[:, 1] -= radius * spin.acceleration
+        force[:, 1] -= radius * acceleration
         force[:, 2] -= coriolis * rate[:, 0]
         if self.counter_rotating:
-            force, rate = turned(force.T, -spin.angle), np.tile(earth, (t.size, 1))
+            force, rate = turned(force.T, -angle), np.tile(earth, (t.size, 1))
         turn = axis_turn(0, self.roll) @ axis_turn(2, math.pi if self.outward else 0.0)
-        return _in_axes(turn, force), _in_axes(turn, rate)
+        return _in_axes(turn, force, rate)
 
 
 def rates_for_levels(levels: tuple[float, ...], radius: float, stretch: float = 0.0) -> tuple[float, ...]:
@@ -346,20 +298,9 @@ class RateTable(_Spinning):
     With a vertical axis, gravity is constant in the base and the rate adds to it: the term ``-Omega_x`` of the
     output can be measured alone. With a horizontal axis, gravity turns in the base.
 
-    Parameters
-    ----------
-    site:
-        Place and local gravity.
-    spin:
-        Rates, dwell and ramps.
-    along:
-        Base axis that lies along the table's axis: ``X0``, ``Y0``, ``Z0``, or with ``-``.
-    horizontal:
-        True: the table's axis is horizontal, at ``azimuth`` [rad] from north. False: it points up.
-    azimuth:
-        Direction of a horizontal axis [rad].
-    offset:
-        Distance of the instrument from the axis, along the table's own first axis [m].
+    ``along``: base axis that lies along the table's axis: ``X0``, ``Y0``, ``Z0``, or with ``-``. ``horizontal``: the
+    table's axis is horizontal, at ``azimuth`` [rad] from north; else it points up. ``offset`` [m]: distance of the
+    instrument from the axis, along the table's own first axis.
     """
 
     site: Site
@@ -377,14 +318,13 @@ class RateTable(_Spinning):
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
-        spin = self.spin.true(t, errors)
+        angle, speed, acceleration = self.spin.at(t, errors)
         azimuth = self.azimuth if self.horizontal else None
-        force, rate = _turned_field(self.site, errors, azimuth, spin.angle, spin.rate)
+        force, rate = _turned_field(self.site, errors, azimuth, angle, speed)
         arm = self.offset + errors.arm_radius
-        force[:, 0] -= arm * spin.rate**2
-        force[:, 1] += arm * spin.acceleration
-        turn = mount(self.along)
-        return _in_axes(turn, force), _in_axes(turn, rate)
+        force[:, 0] -= arm * speed**2
+        force[:, 1] += arm * acceleration
+        return _in_axes(mount(self.along), force, rate)
 
 
 # -- vibration table: sine dwells, sweeps and random vibration along one axis ------------------------------
@@ -397,21 +337,10 @@ _LINES = 256
 class Drive:
     """One stretch of vibration.
 
-    Parameters
-    ----------
-    shape:
-        ``rest``, ``sine`` (at ``frequency``), ``sweep`` (``frequency`` to ``last_frequency``, logarithmic),
-        or ``random`` (flat between the two frequencies: a sum of 256 lines with phases from ``seed``).
-    duration:
-        [s].
-    frequency, last_frequency:
-        [Hz].
-    amplitude:
-        Peak acceleration [m/s^2] of sine and sweep; root mean square of random vibration.
-    taper:
-        Time [s] in which the drive rises at the start and falls at the end.
-    seed:
-        Seed of the phases of random vibration.
+    ``shape``: ``rest``, ``sine`` (at ``frequency``), ``sweep`` (``frequency`` to ``last_frequency``, logarithmic), or
+    ``random`` (flat between the two frequencies: a sum of 256 lines with phases from ``seed``). ``duration`` [s],
+    ``frequency`` and ``last_frequency`` [Hz]. ``amplitude`` [m/s^2]: peak of sine and sweep, root mean square of random
+    vibration. ``taper`` [s]: time in which the drive rises at the start and falls at the end.
     """
 
     shape: Literal["rest", "sine", "sweep", "random"]
@@ -444,62 +373,38 @@ class Drive:
         """Highest frequency [Hz]."""
         return self.frequency if self.shape in ("rest", "sine") else max(self.frequency, self.last_frequency)
 
-    @cached_property
-    def _lines(self) -> tuple[Array, Array]:
-        edges = np.linspace(self.frequency, self.last_frequency, _LINES + 1)
-        phases = np.random.default_rng(self.seed).uniform(0.0, 2.0 * math.pi, _LINES)
-        return math.pi * (edges[1:] + edges[:-1]), phases
-
     def acceleration(self, t: Array) -> tuple[Array, Array]:
         """Acceleration [m/s^2] and its rate of change [m/s^3] at ``t`` [s] since the start of the drive."""
-        if self.shape == "rest":
-            return np.zeros(t.size), np.zeros(t.size)
-        wave, wave_rate = self._random(t) if self.shape == "random" else self._sine(t)
-        ease, ease_rate = self._envelope(t)
-        return self.amplitude * ease * wave, self.amplitude * (ease * wave_rate + ease_rate * wave)
-
-    def _sine(self, t: Array) -> tuple[Array, Array]:
-        if self.shape == "sine" or self.last_frequency == self.frequency:
-            w = 2.0 * math.pi * self.frequency
-            return np.sin(w * t), w * np.cos(w * t)
-        growth = math.log(self.last_frequency / self.frequency) / self.duration
-        rate = 2.0 * math.pi * self.frequency * np.exp(growth * t)
-        phase = (rate - 2.0 * math.pi * self.frequency) / growth
-        return np.sin(phase), rate * np.cos(phase)
-
-    def _random(self, t: Array) -> tuple[Array, Array]:
         wave, rate = np.zeros(t.size), np.zeros(t.size)
-        scale = math.sqrt(2.0 / _LINES)
-        for w, phase in zip(*self._lines, strict=True):
-            wave += scale * np.sin(w * t + phase)
-            rate += scale * w * np.cos(w * t + phase)
-        return wave, rate
-
-    def _envelope(self, t: Array) -> tuple[Array, Array]:
+        if self.shape == "random":
+            edges = np.linspace(self.frequency, self.last_frequency, _LINES + 1)
+            phases = np.random.default_rng(self.seed).uniform(0.0, 2.0 * math.pi, _LINES)
+            scale = math.sqrt(2.0 / _LINES)
+            for w, phase in zip(math.pi * (edges[1:] + edges[:-1]), phases, strict=True):
+                wave += scale * np.sin(w * t + phase)
+                rate += scale * w * np.cos(w * t + phase)
+        elif self.shape == "sweep" and self.last_frequency != self.frequency:
+            growth = math.log(self.last_frequency / self.frequency) / self.duration
+            w = 2.0 * math.pi * self.frequency * np.exp(growth * t)
+            phase = (w - 2.0 * math.pi * self.frequency) / growth
+            wave, rate = np.sin(phase), w * np.cos(phase)
+        elif self.shape != "rest":
+            w = 2.0 * math.pi * self.frequency
+            wave, rate = np.sin(w * t), w * np.cos(w * t)
         if self.taper == 0.0:
-            return np.ones(t.size), np.zeros(t.size)
-        up = np.clip(t / self.taper, 0.0, 1.0)
-        down = np.clip((self.duration - t) / self.taper, 0.0, 1.0)
-        u = np.minimum(up, down)
-        sign = np.where(up < down, 1.0, -1.0)
-        ease = 0.5 * (1.0 - np.cos(math.pi * u))
-        return ease, sign * 0.5 * math.pi / self.taper * np.sin(math.pi * u)
+            return self.amplitude * wave, self.amplitude * rate
+        up, down = np.clip(t / self.taper, 0.0, 1.0), np.clip((self.duration - t) / self.taper, 0.0, 1.0)
+        u, sign = np.minimum(up, down), np.where(up < down, 1.0, -1.0)
+        ease, slope = 0.5 * (1.0 - np.cos(math.pi * u)), sign * 0.5 * math.pi / self.taper * np.sin(math.pi * u)
+        return self.amplitude * ease * wave, self.amplitude * (ease * rate + slope * wave)
 
 
 @dataclass(frozen=True)
 class VibrationTable:
     """A table that vibrates along a base axis in the gravity field.
 
-    Parameters
-    ----------
-    site:
-        Place and local gravity.
-    drives:
-        Stretches of vibration in order. Each is a recorded segment.
-    axis:
-        Base axis along which the table moves.
-    up:
-        Base axis that points up.
+    ``drives`` are the stretches of vibration in order; each is a recorded segment. ``axis`` is the base axis along which the
+    table moves, ``up`` the one that points up.
     """
 
     site: Site

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,8 +26,6 @@ from piga.reading.columns import columns_stream
 from piga.records.run_file import Columns, ColumnTable
 from piga.results import Array, Result
 from piga.units import conversion_factor, to_si
-
-Harmonic = tuple[int, float, float]
 
 GENERAL = ("reference_scale", "reference_bias", "reference_misalignment", "timing", "temperature")
 """Imperfections that every stand has. They act on its reference, its clock and its thermometer."""
@@ -70,11 +69,10 @@ class Imperfections:
         "arcsec", "rotation of the vibration table at peak drive, about the horizontal axis across it"
     )
 
-    def stand_specific(self) -> tuple[str, ...]:
-        """Names of the imperfections that are not zero and belong to particular stands."""
-        return tuple(
-            e.name for e in fields(self) if e.name not in GENERAL and np.any(np.asarray(getattr(self, e.name)))
-        )
+    def _foreign(self, accepted: Iterable[str]) -> list[str]:
+        """Names of those that are not zero, and neither general nor accepted by a stand."""
+        names = [entry.name for entry in fields(self) if np.any(np.asarray(getattr(self, entry.name)))]
+        return [name for name in names if name not in (*GENERAL, *accepted)]
 
     def require(self, accepted: Iterable[str], stand: str) -> None:
         """Refuse imperfections that ``stand`` does not have.
@@ -84,13 +82,15 @@ class Imperfections:
         ArgumentError
             If there is one. The message names it, and those that the stand has.
         """
-        names = set(accepted)
-        for name in self.stand_specific():
-            if name not in names:
-                raise ArgumentError(
-                    f"imperfection '{name}' does not exist on a {stand}",
-                    remedy=f"it has: {', '.join((*GENERAL, *sorted(names)))}",
-                )
+        for name in self._foreign(accepted):
+            raise ArgumentError(
+                f"imperfection '{name}' does not exist on a {stand}",
+                remedy=f"it has: {', '.join((*GENERAL, *sorted(accepted)))}",
+            )
+
+    def of(self, accepted: Iterable[str]) -> Imperfections:
+        """Without those that a stand which has ``accepted`` does not have."""
+        return replace(self, **{name: getattr(NONE, name) for name in self._foreign(accepted)})
 
     def felt(self, force: Array, rate: Array) -> tuple[Array, Array]:
         """Force and rate that the instrument feels if the stand makes ``force`` and ``rate``, (n, 3) each."""
@@ -101,43 +101,6 @@ class Imperfections:
 
 NONE = Imperfections()
 """A perfect stand, as the lab's reference describes it."""
-
-
-def _one(name: str, value: Any, unit: str, size: int, what: str, rng: np.random.Generator | None) -> Any:
-    if name == "angle_harmonics":
-        return tuple(_harmonic(item, what, rng) for item in _listed(value, what))
-    if size == 1:
-        number = to_si(value, unit, what=what)
-        return number if rng is None else number * float(rng.standard_normal())
-    if rng is not None and not isinstance(value, (list, tuple)):
-        value = [value] * size
-    items = _listed(value, what)
-    if len(items) != size:
-        raise ArgumentError(
-            f"{what}: {len(items)} values given, {size} needed", remedy=f"give a list of {size}"
-        )
-    numbers = np.array([to_si(item, unit, what=what) for item in items])
-    return tuple(float(v) for v in (numbers if rng is None else numbers * rng.standard_normal(size)))
-
-
-def _listed(value: Any, what: str) -> list[Any]:
-    if not isinstance(value, (list, tuple)):
-        raise ArgumentError(
-            f"{what}: a list is needed, got {value!r}", remedy="write e.g. ['1 arcsec', '0 arcsec']"
-        )
-    return list(value)
-
-
-def _harmonic(item: Any, what: str, rng: np.random.Generator | None) -> Harmonic:
-    parts = _listed(item, what)
-    if len(parts) != 3 or isinstance(parts[0], bool) or not isinstance(parts[0], int):
-        raise ArgumentError(
-            f"{what}: {item!r} is not a harmonic: order, amplitude and phase are needed",
-            remedy="write e.g. [2, '1 arcsec', '0 deg']",
-        )
-    amplitude = to_si(parts[1], "rad", what=what)
-    phase = to_si(parts[2], "rad", what=what)
-    return int(parts[0]), amplitude if rng is None else amplitude * float(rng.standard_normal()), phase
 
 
 def imperfections(
@@ -153,15 +116,42 @@ def imperfections(
     ArgumentError, UnitError
         If a value is not valid. The message names the key.
     """
-    metadata = {entry.name: entry.metadata for entry in fields(Imperfections)}
+
+    def number(written: Any) -> float:
+        value = to_si(written, unit, what=what)
+        return value if rng is None else value * float(rng.standard_normal())
+
+    def harmonic(item: Any) -> tuple[int, float, float]:
+        parts = item if isinstance(item, (list, tuple)) else ()
+        if len(parts) != 3 or isinstance(parts[0], bool) or not isinstance(parts[0], int):
+            raise ArgumentError(
+                f"{what}: {item!r} is not a harmonic: order, amplitude and phase are needed",
+                remedy="write e.g. [2, '1 arcsec', '0 deg']",
+            )
+        return parts[0], number(parts[1]), to_si(parts[2], "rad", what=what)
+
+    known = {entry.name: entry.metadata for entry in fields(Imperfections)}
     for name in values:
-        if name not in metadata:
-            raise ArgumentError(f"{where}: unknown key '{name}'", remedy=f"known keys: {', '.join(metadata)}")
-    chosen = {
-        name: _one(name, values[name], str(meta["unit"]), int(meta["size"]), f"{where} {name}", rng)
-        for name, meta in metadata.items()
-        if name in values
-    }
+        if name not in known:
+            raise ArgumentError(f"{where}: unknown key '{name}'", remedy=f"known keys: {', '.join(known)}")
+    chosen: dict[str, Any] = {}
+    for name in (name for name in known if name in values):
+        unit, size, what = str(known[name]["unit"]), int(known[name]["size"]), f"{where} {name}"
+        written = values[name]
+        if size == 1:
+            chosen[name] = number(written)
+            continue
+        if rng is not None and size and not isinstance(written, (list, tuple)):
+            written = [written] * size
+        if not isinstance(written, (list, tuple)):
+            raise ArgumentError(
+                f"{what}: a list is needed, got {written!r}", remedy="write e.g. ['1 arcsec', '0 arcsec']"
+            )
+        if size and len(written) != size:
+            raise ArgumentError(
+                f"{what}: {len(written)} values given, {size} needed", remedy=f"give a list of {size}"
+            )
+        chosen[name] = tuple(map(number if size else harmonic, written))
     return Imperfections(**chosen)
 
 
@@ -253,25 +243,11 @@ def plan_holds(count: int, dwell: float, way: str, move: float) -> tuple[Segment
 
 def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
     """Segment of each time. A border belongs to the recorded segment; between two recorded segments, to the later."""
-    starts = np.array([s.start for s in segments])
+    starts, recorded = np.array([(s.start, s.recorded) for s in segments]).T
     index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
-    recorded = np.array([s.recorded for s in segments])
     before = np.maximum(index - 1, 0)
     at_border = np.abs(t - starts[index]) < 1e-9
-    keep_before = at_border & ~recorded[index] & recorded[before]
-    return np.where(keep_before, before, index).astype(np.int32)
-
-
-def _check_step(segments: tuple[Segment, ...], step: float) -> None:
-    """Refuse a sample interval that does not divide every segment."""
-    for segment in segments:
-        ratio = segment.duration / step
-        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
-            raise ArgumentError(
-                f"segment '{segment.label}' lasts {segment.duration:g} s, not a multiple of the "
-                f"sample interval {step:g} s",
-                remedy="change the duration or the sample rate",
-            )
+    return np.where(at_border & (recorded[index] < recorded[before]), before, index).astype(np.int32)
 
 
 def sample_stand(
@@ -290,7 +266,14 @@ def sample_stand(
     segments = stand.segments()
     if not segments:
         raise ArgumentError(f"the {stand.kind} has no segment: it lasts 0 s", remedy="give it a duration")
-    _check_step(segments, step)
+    for segment in segments:
+        ratio = segment.duration / step
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            raise ArgumentError(
+                f"segment '{segment.label}' lasts {segment.duration:g} s, not a multiple of the "
+                f"sample interval {step:g} s",
+                remedy="change the duration or the sample rate",
+            )
     end = round((segments[-1].stop - segments[0].start) / step) * oversample
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample
     force, rate = stand.motion(t, errors)
@@ -339,48 +322,36 @@ class Composite:
         """Smallest step of its parts."""
         return min(part.fastest for part in self.parts)
 
-    def _plans(self) -> list[tuple[float, tuple[Segment, ...]]]:
-        start, plans = 0.0, []
-        for part in self.parts:
-            plans.append((start, part.segments()))
-            start += plans[-1][1][-1].stop + self.pause
-        return plans
+    def _starts(self) -> list[float]:
+        """Start of each part [s]."""
+        lasting = [part.segments()[-1].stop + self.pause for part in self.parts]
+        return [0.0, *accumulate(lasting)][:-1]
 
     def segments(self) -> tuple[Segment, ...]:
         """Segments of all parts, and the pauses between them."""
         rows: list[tuple[str, float, bool]] = []
-        for k, (_, segments) in enumerate(self._plans()):
-            if k:
-                rows.append((f"pause before {k}", self.pause, False))
-            rows.extend((f"{k}.{s.label}", s.duration, s.recorded) for s in segments)
+        for k, part in enumerate(self.parts):
+            rows += [(f"pause before {k}", self.pause, False)] if k else []
+            rows += [(f"{k}.{s.label}", s.duration, s.recorded) for s in part.segments()]
         return plan(rows)
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
-        """Specific force and base rate in base axes, (n, 3) each."""
-        plans = self._plans()
+        """Specific force and base rate in base axes, (n, 3) each. Each part has its own imperfections."""
+        starts, following, first = self._starts(), self.parts[1:], np.zeros(1)
         force, rate = np.zeros((t.size, 3)), np.zeros((t.size, 3))
-        blocks = tuple(Segment(str(k), start, segments[-1].stop) for k, (start, segments) in enumerate(plans))
-        index = segment_index(t, blocks)
+        index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(starts) - 1)
         for k, part in enumerate(self.parts):
             rows = np.flatnonzero(index == k)
             if rows.size == 0:
                 continue
-            end = blocks[k].duration
-            local = t[rows] - blocks[k].start
-            force[rows], rate[rows] = part.motion(np.minimum(local, end), _own(part, errors))
-            if k + 1 < len(self.parts):
+            local, end = t[rows] - starts[k], part.segments()[-1].stop
+            force[rows], rate[rows] = part.motion(np.minimum(local, end), errors.of(part.accepted))
+            for other in following[k : k + 1]:
                 share = np.clip((local - end) / self.pause, 0.0, 1.0)[:, None]
-                first = self.parts[k + 1].motion(np.zeros(1), _own(self.parts[k + 1], errors))
-                force[rows] += share * (first[0] - force[rows])
-                rate[rows] += share * (first[1] - rate[rows])
+                begins = other.motion(first, errors.of(other.accepted))
+                force[rows] += share * (begins[0] - force[rows])
+                rate[rows] += share * (begins[1] - rate[rows])
         return force, rate
-
-
-def _own(part: Stand, errors: Imperfections) -> Imperfections:
-    """The imperfections of this part only."""
-    foreign = [name for name in errors.stand_specific() if name not in part.accepted]
-    zeros = {name: getattr(Imperfections(), name) for name in foreign}
-    return replace(errors, **zeros)
 
 
 # -- a logged profile ------------------------------------------------------------------------------------
@@ -422,12 +393,9 @@ class LoggedProfile(Result):
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         del errors  # general imperfections act on every stand alike
-        at = t + self.t[0]
-        force, rate = (
-            np.column_stack([np.interp(at, self.t, column) for column in columns.T])
-            for columns in (self.force, self.base_rate)
-        )
-        return force, rate
+        columns = (*self.force.T, *self.base_rate.T)
+        both = np.column_stack([np.interp(t + self.t[0], self.t, column) for column in columns])
+        return both[:, :3], both[:, 3:]
 
 
 def read_profile(
@@ -458,17 +426,14 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
     except DataError as error:
         remedy = "[stand] file: give a file with columns of numbers"
         raise DataError(error.message, remedy=remedy, where=error.where) from None
-    cut = [event for event in stream.events() if event.kind == "truncated-last-line"]
-    if cut:
-        raise refusal(path, cut[0].detail, "end the line, or delete it if it was cut off")
+    for event in stream.events():
+        if event.kind == "truncated-last-line":
+            raise refusal(path, event.detail, "end the line, or delete it if it was cut off")
+    rows = np.concatenate([chunk.rows for chunk in chunks])
     columns = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in wanted}
     for name, values in columns.items():
-        gaps = np.flatnonzero(~np.isfinite(values))
-        if gaps.size:
-            row = int(np.concatenate([chunk.rows for chunk in chunks])[gaps[0]])
-            raise DataError(
-                f"{path}: row {row}, column '{name}' is empty",
-                remedy="repair the profile first",
-                where=Where(path, row, (name,)),
-            )
+        for gap in np.flatnonzero(~np.isfinite(values)):
+            where = Where(path, int(rows[gap]), (name,))
+            words, remedy = f"row {rows[gap]}, column '{name}' is empty", "repair the profile first"
+            raise DataError(f"{path}: {words}", remedy=remedy, where=where)
     return columns

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
@@ -141,10 +142,9 @@ class SimulatedTest(Result, Plotted, Reported):
 
         ``model`` is the run file's ``[model]``.
         """
-        log, kind = self.log, self.electronics.kind
+        log, kind, direct = self.log, self.electronics.kind, self.specimen.direct
         columns: dict[str, NDArray] = {"t": log.t, "output": log.output, "temperature": log.temperature}
         columns |= {f"f{axis}": log.reference[:, i] for i, axis in enumerate("xyz")}
-        direct = self.specimen.direct
         columns |= {} if direct else {f"w{axis}": log.base_rate[:, i] for i, axis in enumerate("xyz")}
         columns["segment"] = np.array(log.labels, dtype=object)[log.segment]
         counts = kind == "counts"
@@ -181,27 +181,13 @@ def simulate_test(
 ) -> SimulatedTest:
     """Simulate a test.
 
-    Parameters
-    ----------
-    stand, specimen, electronics:
-        The stand, the instrument under test, and its readout.
-    imperfections:
-        Deviations of the stand from its reference.
-    vibration:
-        Root mean square of the vibration along X0 in each segment [m/s^2], in order and again from the first.
-    temperature:
-        Temperature of the instrument; None: constant 20 degC.
-    model:
-        ``quasi-steady`` (the cross-coupled instrument) or ``twin`` (rotor, float and servo).
-    seed:
-        Seed of all noise; the same seed gives the same log to the bit.
-    step:
-        Step of the grid on which the stand's motion is sampled [s]. It is rounded down to divide the sample
-        interval. None: chosen for the stand's fastest motion.
-    force:
-        Simulate an unstable servo loop, too. It has no slow manifold, so it starts with its transient.
-    progress:
-        Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
+    ``imperfections`` are deviations of the stand from its reference. ``vibration`` is the root mean square of the vibration
+    along X0 in each segment [m/s^2], in order and again from the first. ``temperature`` is that of the instrument; None:
+    constant 20 degC. ``model`` is ``quasi-steady`` (the cross-coupled instrument) or ``twin`` (rotor, float and servo). The
+    same ``seed`` of all noise gives the same log to the bit. ``step`` [s] is that of the grid on which the stand's motion is
+    sampled, rounded down to divide the sample interval; None: chosen for the stand's fastest motion. With ``force`` an
+    unstable servo loop is simulated, too: it has no slow manifold, so it starts with its transient. ``progress`` is called as
+    ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -212,17 +198,19 @@ def simulate_test(
     steps("motion of the stand")
     oversample = _oversample(stand, specimen, electronics, model, step)
     grid = electronics.interval / oversample
+    end = max((segment.stop for segment in stand.segments()), default=0.0)
+    late = (
+        max(0.0, end * imperfections.timing)
+        + max(0.0, electronics.clock_offset)
+        + 6.0 * electronics.clock_jitter
+    )
     profile = sample_stand(
-        stand,
-        electronics.interval,
-        errors=imperfections,
-        oversample=oversample,
-        extra=_overshoot(stand, electronics, imperfections, grid),
+        stand, electronics.interval, errors=imperfections, oversample=oversample, extra=math.ceil(late / grid)
     )
     steps("motion of the gimbal")
     streams = np.random.default_rng(seed).spawn(5)
     kelvin = (temperature or Temperature()).at(profile.t)
-    test, motion = _Felt(specimen, electronics, profile, kelvin, grid, streams), None
+    felt, motion = _Felt(specimen, electronics, profile, kelvin, grid, streams), None
     if specimen.direct:
         if model == "twin":
             raise ArgumentError(
@@ -231,58 +219,37 @@ def simulate_test(
             )
         recorded = np.array([part.recorded for part in profile.segments])
         number = np.where(recorded, np.cumsum(recorded) - 1, -1).astype(np.int32)
-        alpha, rate = test.direct(_vibration_of(number[profile.segment], vibration))
+        alpha, rate = felt.direct(_vibration_of(number[profile.segment], vibration))
     elif model == "twin":
-        motion = test.twin(force=force)
+        motion = felt.twin(force=force)
         alpha, rate = motion.alpha, motion.rate
     else:
-        alpha, rate = test.quasi_steady()
+        alpha, rate = felt.quasi_steady()
     steps("reading the output")
-    log, phases = test.log(alpha, rate, oversample, imperfections)
+    log, phases = felt.log(alpha, rate, oversample, imperfections)
     if vibration:
         log = replace(log, vibration=_vibration_of(log.segment, vibration))
     return SimulatedTest(
-        model=model,
-        specimen=specimen,
-        electronics=electronics,
-        imperfections=imperfections,
-        stand=stand,
-        seed=seed,
-        profile=profile,
-        alpha=alpha,
-        rate=rate,
-        motion=motion,
-        phases=phases,
-        log=log,
+        model, specimen, electronics, imperfections, stand, seed, profile, alpha, rate, motion, phases, log
     )
 
 
 def _oversample(
     stand: Stand, specimen: Specimen, electronics: Electronics, model: Model, step: float | None
 ) -> int:
+    """Points of the grid in a sample interval."""
     wanted = step if step is not None else min(stand.fastest, 0.05)
     if step is None and model == "quasi-steady" and (specimen.servo or specimen.servo_damping):
-        wanted = min(wanted, _WAVE_STEP / _fastest_turn(stand, specimen, electronics.interval))
+        profile, K = sample_stand(stand, electronics.interval), specimen.instrument.scale_factor
+        rate = np.abs(K * profile.force[:, 0] - profile.base_rate[:, 0])
+        wanted = min(wanted, _WAVE_STEP / float(np.max(rate, initial=0.1 * K * G0)))
     if step is None and model == "twin":
         p = specimen.design
-        noisy = p.pick_off_noise or p.torque_noise or electronics.angle_random_walk
-        wanted = min(wanted, 5e-3) if noisy else wanted
+        if p.pick_off_noise or p.torque_noise or electronics.angle_random_walk:
+            wanted = min(wanted, 5e-3)
     if wanted <= 0.0:
         raise ArgumentError(f"step: {wanted:g} s is not positive", remedy="e.g. '1 ms'")
     return max(1, math.ceil(electronics.interval / wanted - 1e-9))
-
-
-def _fastest_turn(stand: Stand, specimen: Specimen, interval: float) -> float:
-    """Largest output rate of the test [rad/s], at least that of 0.1 g."""
-    profile, K = sample_stand(stand, interval), specimen.instrument.scale_factor
-    return float(np.max(np.abs(K * profile.force[:, 0] - profile.base_rate[:, 0]), initial=0.1 * K * G0))
-
-
-def _overshoot(stand: Stand, e: Electronics, errors: Imperfections, grid: float) -> int:
-    """Rows needed after the end, for late samples."""
-    end = stand.segments()[-1].stop
-    late = max(0.0, end * errors.timing) + max(0.0, e.clock_offset) + 6.0 * e.clock_jitter
-    return math.ceil(late / grid) if late > 0.0 else 0
 
 
 def _vibration_of(segment: NDArray[np.int32], levels: Sequence[float]) -> Array:
@@ -317,41 +284,29 @@ class _Felt:
 
     def quasi_steady(self) -> tuple[Array, Array]:
         """Exact motion. The random walk is exact, too: the transverse inputs are turned back by its angle."""
-        specimen, profile, kelvin, walk = self.specimen, self.profile, self.kelvin, self.walk()
-        force, base_rate = straightened(profile.force), straightened(profile.base_rate)
+        specimen, t, kelvin, walk = self.specimen, self.profile.t, self.kelvin, self.walk()
+        inst, model = specimen.instrument, specimen.error_model
+        true_force, true_rate = self.profile.force.copy(), self.profile.base_rate
+        force, base_rate = straightened(true_force), straightened(true_rate)
         wander = self.wander()
-        force[:, 0] += wander
-        felt = (force, base_rate)
-        true_force = profile.force.copy()
         true_force[:, 0] += wander
-        if walk.any():
-            force, base_rate = _walked(force, walk), _walked(base_rate, walk)
-        harmonic_rate = np.zeros(profile.t.size)
+        force[:, 0] += wander
+        turned = [_walked(v, walk) if walk.any() else v.copy() for v in (force, base_rate)]
+        own_rate, still = np.zeros(t.size), turned[1][:, 0].copy()
         for _ in range(20):
-            shifted = base_rate.copy()
-            shifted[:, 0] -= harmonic_rate
+            turned[1][:, 0] = still - own_rate
             alpha, rate = propagate(
-                specimen.instrument,
-                profile.t,
-                force,
-                shifted,
-                with_rate=True,
-                error_model=specimen.error_model,
-                temperature=kelvin,
-                between="linear",
+                inst, t, *turned, with_rate=True, error_model=model, temperature=kelvin, between="linear"
             )
             alpha = alpha + walk
-            new_rate = specimen.instrument.scale_factor * _forces_of_angle(specimen, alpha, *felt)
-            if np.max(np.abs(new_rate - harmonic_rate)) < 1e-15:
-                inst, model = specimen.instrument, specimen.error_model
-                more = inst.scale_factor * (true_force - felt[0]) - (profile.base_rate - felt[1])
-                polynomial = model.specific_force(profile.t, true_force, kelvin) - model.specific_force(
-                    profile.t, felt[0], kelvin
+            own, own_rate = own_rate, inst.scale_factor * _forces_of_angle(specimen, alpha, force, base_rate)
+            if np.max(np.abs(own_rate - own)) < 1e-15:
+                more = inst.scale_factor * (true_force - force) - (true_rate - base_rate)
+                polynomial = model.specific_force(t, true_force, kelvin) - model.specific_force(
+                    t, force, kelvin
                 )
-                return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * (
-                    more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
-                )
-            harmonic_rate = new_rate
+                across = more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
+                return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * across
         raise ArgumentError(
             "harmonics or servo terms: too large to be simulated",
             remedy="they are small corrections, e.g. 1e-5 g",
@@ -371,12 +326,9 @@ class _Felt:
     def twin(self, *, force: bool) -> TwinMotion:
         """Motion of rotor, float and servo."""
         specimen, profile, size, step = self.specimen, self.profile, self.profile.t.size, self.grid
-        p = specimen.design
-        stable = force and analyse_loop(p).stable
+        p, terms = specimen.design, specimen.error_model
         if not force:
             require_stable(p)
-            stable = True
-        terms = specimen.error_model
         if specimen.servo or specimen.servo_damping:
             raise ArgumentError(
                 "the terms servo and servo_damping cannot be prescribed to the twin: its servo makes them",
@@ -395,14 +347,8 @@ class _Felt:
         noise[:, 0] = held_noise(self.streams[2], size, step, p.torque_noise)
         noise[:-1, 1] = -p.angular_momentum * np.diff(self.walk()) / step
         noise[:, 2] = held_noise(self.streams[2], size, step, p.pick_off_noise)
-        return run_twin(
-            p,
-            profile.t,
-            felt,
-            straightened(profile.base_rate),
-            noise=noise,
-            start=specimen.start if stable else "transient",
-        )
+        start = "transient" if force and not analyse_loop(p).stable else specimen.start
+        return run_twin(p, profile.t, felt, straightened(profile.base_rate), noise=noise, start=start)
 
     def log(
         self, alpha: Array, rate: Array, oversample: int, errors: Imperfections
@@ -420,15 +366,8 @@ class _Felt:
         output = read_output(e, angle, interpolate(instants, start, self.grid, rate, slope), self.streams[3])
         used, place = np.unique(profile.segment[rows], return_inverse=True)
         segment, labels = place.astype(np.int32), tuple(profile.segments[int(k)].label for k in used)
-        log = Log(
-            t,
-            segment,
-            labels,
-            output,
-            profile.reference[rows],
-            profile.reference_rate[rows],
-            self.kelvin[rows] - errors.temperature,
-        )
+        reference, kelvin = (profile.reference[rows], profile.reference_rate[rows]), self.kelvin[rows]
+        log = Log(t, segment, labels, output, *reference, kelvin - errors.temperature)
         return log, output_phases(e, angle, output, segment)
 
 
@@ -442,13 +381,10 @@ def straightened(values: Array) -> Array:
     straight = values.copy()
     if len(values) < 5:
         return straight
-    second = np.zeros_like(values)
+    second, fourth = np.zeros_like(values), np.zeros_like(values)
     second[1:-1] = values[2:] - 2.0 * values[1:-1] + values[:-2]
-    fourth = np.zeros_like(values)
     fourth[2:-2] = second[3:-1] - 2.0 * second[2:-2] + second[1:-3]
-    near = [
-        np.lib.stride_tricks.sliding_window_view(np.abs(x), 5, axis=0).max(axis=-1) for x in (second, fourth)
-    ]
+    near = [sliding_window_view(np.abs(x), 5, axis=0).max(axis=-1) for x in (second, fourth)]
     inner = slice(2, -2)
     change = -second[inner] / 12.0 + 11.0 / 720.0 * fourth[inner]
     straight[inner] += np.where(near[1] <= _SMOOTH * near[0], change, 0.0)
@@ -457,7 +393,9 @@ def straightened(values: Array) -> Array:
 
 def _forces_of_angle(specimen: Specimen, alpha: Array, force: Array, base_rate: Array) -> Array:
     """Specific force [m/s^2] of harmonics and servo at gimbal angle ``alpha`` [rad], (n,)."""
-    total = _harmonic_force(specimen.harmonics, alpha)
+    total = np.zeros(alpha.size)
+    for order, (sine, cosine) in specimen.harmonics.items():
+        total += sine * np.sin(order * alpha) + cosine * np.cos(order * alpha)
     if specimen.servo or specimen.servo_damping:
         K = specimen.instrument.scale_factor
         total += servo_force(specimen.servo, specimen.servo_damping, K, alpha, force, base_rate)
@@ -469,11 +407,3 @@ def _walked(vectors: Array, angle: Array) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = vectors.T
     return np.column_stack([x, c * y + s * z, c * z - s * y])
-
-
-def _harmonic_force(harmonics: Harmonics, alpha: Array) -> Array:
-    """Specific force [m/s^2] that the harmonics add at gimbal angle ``alpha`` [rad], (n,)."""
-    total = np.zeros(alpha.size)
-    for order, (sine, cosine) in harmonics.items():
-        total += sine * np.sin(order * alpha) + cosine * np.cos(order * alpha)
-    return total

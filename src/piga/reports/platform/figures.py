@@ -307,7 +307,7 @@ def model_figure(run: ModelRun) -> Figure:
     e = run.errors
     axis, unit = time_axis(float(e.times[-1]))
     late = e.times > e.times[-1] - 40.0 * MINUTE
-    name = run.compensator.model
+    name = run.navigation.model
     whole = "No model" if name == "none" else f"Model {name}"
     plot = Plot(f"fig-model-{name}", whole, columns=2, height=2.4)
     parts = (np.ones_like(late), axis, 0.0, unit), (late, "time before the end [min]", e.times[-1], MINUTE)
