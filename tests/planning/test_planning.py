@@ -33,6 +33,7 @@ from tests.planning.test_plan import mounting_request
         ('phases = "shared"', 'phases = "sideways"', r"\[model\]: .*sideways|\[model\]: invalid enum value"),
         ('beta = "200 arcsec"\n', "", r"\[truth\] lacks beta(?s:.*)add the expected size"),
         ('output = "angle"', 'output = "angle"\nbias_random_walk = "1e-9 g/sqrt(s)"', "bias_random_walk"),
+        ('output = "angle"', 'output = "rate"', "a log of rates does not tell"),
         ("[plan]", '[noise]\nflicker = "1 ug"\n[plan]', r"\[noise\] is not part"),
         ("[plan]", '[plan]\nwanted = { k0 = "-1 ug" }', r"wanted\.k0: must be positive"),
         ("[plan]", '[plan]\nmove = "0 s"', "move: 0 s is not positive"),

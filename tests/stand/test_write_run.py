@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from piga.calibration.calibrate import calibrate
-from piga.errors import PigaError, RunFileError
+from piga.errors import CalibrationError, PigaError, RunFileError
 from piga.instrument.parameters import ErrorModel
 from piga.instrument.twin.parameters import PRESETS
 from piga.records.text_files import toml_text
@@ -263,6 +263,23 @@ def test_predicted_error_of_twin_and_quasi_steady_model() -> None:
     predicted = predicted_angle_error(test)
     assert predicted.shape == test.log.t.shape
     assert 0.0 < np.abs(predicted).max() < 1e-2
+
+
+def test_a_log_of_rates_loses_its_phase_between_positions(tmp_path: Path) -> None:
+    """One phase for all positions would be a tan_beta that is far too small, with a narrow interval."""
+    path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "10 Hz"\noutput = "rate"'))
+    scenario = read_scenario(path)
+    test = run_scenario(scenario)
+    run = saved(scenario, test, tmp_path)
+    assert run.model.phases == "per-segment"
+    truth = truth_of(test)
+    assert not [name for name, _ in truth if name == "phi"]
+    c = calibrate(run)["tan_beta"]
+    assert abs(c.value - truth["tan_beta", None]) < 3.0 * c.std
+    with pytest.raises(CalibrationError, match="a log of rates does not tell") as caught:
+        calibrate(run, phases="shared")
+    assert "per-segment" in caught.value.remedy
+    assert calibrate(run, ["scale_factor", "k0"], phases="shared").terms == ("scale_factor", "k0")
 
 
 @pytest.mark.parametrize(("output", "unit"), [("angle", "rad"), ("rate", "rad/s")])

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from piga.calibration.model.request import Request, check_servo
+from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
 from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
@@ -178,6 +178,12 @@ def _check(table: PlanTable, model: ModelTable) -> None:
             remedy='add the expected size, e.g. beta = "20 arcsec"',
         )
     check_servo(request_of(model))
+    if table.electronics.output == "rate" and model.phases == "shared" and with_phase(model.terms):
+        raise RunFileError(
+            "[model] phases: 'shared' is not possible with output = 'rate': a log of rates does not tell how far the output turned "
+            "in a move",
+            remedy="set phases = 'per-segment', or plan with output = 'counts' or 'angle'",
+        )
     if table.electronics.bias_random_walk != 0.0:
         raise RunFileError(
             "[electronics] bias_random_walk is not part of the noise model of the estimator",

@@ -96,7 +96,9 @@ def _harmonics(test: SimulatedTest) -> tuple[TrueValue, ...]:
 
 
 def _phases(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    """``phi``: one value if all segments share it, else one per segment."""
+    """``phi``: one value if all segments share it, else one per segment. A log of rates has no zero, and so no phase."""
+    if test.electronics.kind == "rate":
+        return ()
     turn = math.pi if test.specimen.instrument.beta < 0.0 else 0.0
     phases = [math.remainder(phase + turn, 2.0 * math.pi) for phase in test.phases]
     if _shares_phase(test):
@@ -105,11 +107,11 @@ def _phases(test: SimulatedTest) -> tuple[TrueValue, ...]:
 
 
 def _shares_phase(test: SimulatedTest) -> bool:
-    """Whether the counter keeps its zero through the whole test."""
+    """Whether the zero of the output angle is one through the whole test: a log of rates loses it in a move."""
     e = test.electronics
-    if e.counter_bits is None or float(1 << e.counter_bits) % e.counts_per_revolution == 0.0:
-        return True
-    return not bool((np.diff(test.log.t) > 1.5 * e.interval).any())
+    folds = e.counter_bits is not None and float(1 << e.counter_bits) % e.counts_per_revolution != 0.0
+    moved = bool((np.diff(test.log.t) > 1.5 * e.interval).any())
+    return not (moved and (e.kind == "rate" or folds))
 
 
 def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:

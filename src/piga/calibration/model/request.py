@@ -6,6 +6,7 @@ as read, integrated from a log of rates, or predicted from the input.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,10 +151,12 @@ def _check_record(run: Run, request: Request) -> None:
     check_servo(request)
     at = lost_phase(run, request.terms, request.phases, request.method)
     if at is not None:
+        why = "the counter may have rolled over unseen before it"
+        if run.kind == "rate":
+            why = "a log of rates does not tell how far the output turned in the move before it"
         raise CalibrationError(
             "phase 'shared' is not possible: the zero of the output angle is lost at segment "
-            f"'{run.labels[at]}' ({len(set(run.phase_group))} independent parts): the counter may have "
-            "rolled over unseen before it",
+            f"'{run.labels[at]}': {why}",
             remedy="set phases = 'per-segment' (run file [model], or --phases per-segment)",
         )
     if request.phase_source == "input" and request.phases != "shared":
@@ -163,12 +166,19 @@ def _check_record(run: Run, request: Request) -> None:
         )
 
 
+def with_phase(terms: Sequence[str]) -> bool:
+    """True if a term depends on the output angle."""
+    return "tan_beta" in terms or any(map(harmonic, terms))
+
+
 def lost_phase(run: Run, terms: tuple[str, ...], phases: str, method: str) -> int | None:
     """First segment for which one phase of the whole record is asked and lost; None if there is none."""
-    coupled = "tan_beta" in terms or any(map(harmonic, terms))
-    if phases != "shared" or not coupled or method == "revolutions":
+    if phases != "shared" or not with_phase(terms) or method == "revolutions":
         return None
-    return next((i for i, group in enumerate(run.phase_group) if group != run.phase_group[0]), None)
+    first = run.segment_edges()[1:-1]
+    moved = (run.t[first] - run.t[first - 1] > 1.5 * run.median_step) & (run.kind == "rate")
+    groups = [*np.diff(run.phase_group).astype(bool) | moved]
+    return groups.index(True) + 1 if True in groups else None
 
 
 def check_servo(request: Request) -> None:
