@@ -62,15 +62,9 @@ class StandChange(Result):
 def read_run(path: str | Path, *, need_reference: bool = True, content: bytes | None = None) -> Run:
     """Read a recorded test.
 
-    Parameters
-    ----------
-    path:
-        Run file (TOML). Its data file must lie beside it. Without reference columns the reference is
-        computed from its ``[stand]`` table.
-    need_reference:
-        False: a record with neither is read too, with ``f`` nan. Instruments compensated together need no reference.
-    content:
-        Bytes of the run file, in place of those on disk.
+    ``path`` is the run file (TOML). Its data file must lie beside it. Without reference columns the reference is computed
+    from its ``[stand]`` table. With ``need_reference`` false a record with neither is read too, with ``f`` nan: instruments
+    compensated together need no reference. ``content`` holds bytes of the run file, in place of those on disk.
 
     Raises
     ------
@@ -132,33 +126,56 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
         _check_unchanged(run)
         t = plan_times(stand, names, run.labels, run.t, run.segment_index)
         for name, written in named.items():
-            standard, shape = _standard(name, written)
-            for text, errors in _components(name, standard):
-                if name in REPEATED and REPEATED[name][0] not in stand.accepted:
-                    raise ArgumentError(
-                        f"[uncertainty] {name} does not exist on a {stand.kind}", remedy=_repeatable(stand)
-                    )
+            error = REPEATED[name][0] if name in REPEATED else name
+            if name != error and error not in (*GENERAL, *stand.accepted):
+                has = [one for one, (of, _) in REPEATED.items() if of in (*GENERAL, *stand.accepted)]
+                raise ArgumentError(
+                    f"[uncertainty] {name} does not exist on a {stand.kind}", remedy=f"it has: {', '.join(has)}"
+                )
+            standard, shape = _standard(name, error, written)
+            for suffix, value, part in _components(error, standard):
+                errors = imperfections({error: part}, where="[uncertainty]")
                 errors.require(stand.accepted, stand.kind)
                 change = partial(_change, stand, t, errors)
-                yield StandChange(f"{name}{text[0]}", text[1], change, *shape, drawn_for(name))
-    except PigaError as error:
-        raise RunFileError(f"{run.source}: {error.message}", remedy=error.remedy) from None
-
-
-def _repeated(name: str) -> str:
-    """The imperfection to which an entry belongs."""
-    return REPEATED[name][0] if name in REPEATED else name
-
-
-def _repeatable(stand: Stand) -> str:
-    """Remedy of an error message: the repeatability entries that a stand has."""
-    names = [name for name, (error, _) in REPEATED.items() if error in stand.accepted or error in GENERAL]
-    return f"it has: {', '.join(names)}"
+                yield StandChange(f"{name}{suffix}", str(value), change, *shape, drawn_for(name))
+    except PigaError as error_:
+        raise RunFileError(f"{run.source}: {error_.message}", remedy=error_.remedy) from None
 
 
 def _change(stand: Stand, t: Array, errors: Imperfections, part: slice) -> Array:
     """Change of f [m/s^2] in a slice of rows, (n, 3)."""
     return force_change(stand, t[part], errors)
+
+
+def _standard(name: str, error: str, written: Any) -> tuple[Any, tuple[str, float]]:
+    """Standard uncertainty as written, or from a table with a distribution. The latter holds for each component."""
+    if not isinstance(written, dict):
+        return written, ("normal", math.inf)
+    where = f"[uncertainty] {name}"
+    if name == "angle_harmonics":
+        raise ArgumentError(f"{where}: a list is needed", remedy="write e.g. [[2, '1 arcsec']]")
+    try:
+        spread = msgspec.convert(written, Spread)
+    except msgspec.ValidationError as invalid:
+        raise ArgumentError(
+            f"{where}: {str(invalid).lower()}",
+            remedy="write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }",
+        ) from None
+    unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == error)
+    return f"{from_si(standard_uncertainty(spread, unit, where), unit):.9g} {unit}", shape_of(spread)
+
+
+def _components(error: str, written: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Suffix of the name, value as written, and value of the imperfection, of each component of one entry."""
+    if error == "angle_harmonics":
+        for order, amplitude, *phase in written:
+            for at, wave in ((phase[0], ""),) if phase else (("0 deg", " (sine)"), ("90 deg", " (cosine)")):
+                yield f" order {order}{wave}", amplitude, [[order, amplitude, at]]
+    elif error == "levelling":
+        for axis, value in enumerate(written if isinstance(written, (list, tuple)) else (written, written)):
+            yield f" axis {axis + 1}", value, ["0 rad"] * axis + [value] + ["0 rad"] * (1 - axis)
+    else:
+        yield "", written, written
 
 
 class _Stand(msgspec.Struct):
@@ -228,59 +245,8 @@ def _in_order(
     return list(planned)
 
 
-def _standard(name: str, written: Any) -> tuple[Any, tuple[str, float]]:
-    """Standard uncertainty as written, or from a table with a distribution. The latter holds for each component."""
-    if not isinstance(written, dict):
-        return written, ("normal", math.inf)
-    where = f"[uncertainty] {name}"
-    if name == "angle_harmonics":
-        raise ArgumentError(f"{where}: a list is needed", remedy="write e.g. [[2, '1 arcsec']]")
-    try:
-        spread = msgspec.convert(written, Spread)
-    except msgspec.ValidationError as error:
-        raise ArgumentError(
-            f"{where}: {str(error).lower()}",
-            remedy="write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }",
-        ) from None
-    unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == _repeated(name))
-    size = from_si(standard_uncertainty(spread, unit, where), unit)
-    return f"{size:.9g} {unit}", shape_of(spread)
-
-
-def _components(name: str, written: Any) -> Iterator[tuple[tuple[str, str], Imperfections]]:
-    """``((suffix, value as written), imperfections with one component)`` for one entry."""
-    where = "[uncertainty]"
-    error = _repeated(name)
-    if error == "angle_harmonics":
-        for order, amplitude, *phase in written:
-            for at in phase or ("0 deg", "90 deg"):
-                suffix = f" order {order}" + ("" if phase else f" ({'sine' if at == '0 deg' else 'cosine'})")
-                yield (suffix, str(amplitude)), imperfections({error: [[order, amplitude, at]]}, where=where)
-    elif error == "levelling":
-        values = written if isinstance(written, (list, tuple)) else (written, written)
-        for axis, value in enumerate(values):
-            pair = ["0 rad", "0 rad"]
-            pair[axis] = value
-            yield (f" axis {axis + 1}", str(value)), imperfections({error: pair}, where=where)
-    else:
-        yield ("", str(written)), imperfections({error: written}, where=where)
-
-
 WHERE = Path("table")
 """Name of a table in memory, in messages."""
-REMEDIES = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
-"""Remedies for a column that is not there, and for one that holds no numbers."""
-_SI = {"time": "s", "reference": "m/s^2", "base_rate": "rad/s", "temperature": "K"}
-"""SI unit of a column, by what it holds."""
-
-
-def _stated_units(table: object, arrow: Any) -> dict[str, str]:
-    """Units by column: of the fields of ``arrow``, and in the ``attrs`` of a pandas data frame (:meth:`to_dataframe`)."""
-    fields = {field.name: (field.metadata or {}).get(b"unit") for field in arrow.schema}
-    attributes = getattr(table, "attrs", {})
-    units = attributes.get("units", {}) if isinstance(attributes, dict) else {}
-    attached = {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
-    return {name: unit.decode() for name, unit in fields.items() if unit} | attached
 
 
 def _as_arrow(table: object) -> Any:
@@ -315,24 +281,29 @@ def run_from_table(
         If the columns do not hold what the description says.
     """
     arrow = _as_arrow(table)
-    names = arrow.schema.names
-    unknown = [name for name in units if name not in names]
-    if unknown:
-        raise ArgumentError(
-            f"units: there is no column '{unknown[0]}'", remedy=f"the columns are: {', '.join(names)}"
-        )
-    time: str = (described["data"]["time"] or {}).get("column", "")
+    names, data = arrow.schema.names, described["data"]
+    for name in units:
+        if name not in names:
+            raise ArgumentError(
+                f"units: there is no column '{name}'", remedy=f"the columns are: {', '.join(names)}"
+            )
+    time: str = (data["time"] or {}).get("column", "")
     if time in names and is_time(arrow.schema.field(time).type):
         if units.get(time, "s") != "s":
             raise ArgumentError(f"units: column '{time}' holds dates or durations", remedy="leave its unit out")
         units |= {time: "s"}
-    units = _stated_units(table, arrow) | units
+    own = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in arrow.schema}
+    attached = attributes.get("units") if isinstance(attributes := getattr(table, "attrs", {}), dict) else None
+    if isinstance(attached, dict):  # of a pandas data frame, by to_dataframe
+        own |= {str(name): str(unit) for name, unit in attached.items()}
+    units = {name: unit for name, unit in own.items() if unit} | units
+    remedies = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
     try:
-        _add_units(described["data"], unit, units, () if si else names)
+        _add_units(data, unit, units, () if si else names)
         run_file = msgspec.convert(described, RunFile)
         check_run_file(run_file)
-        data = run_file.data
-        stream = TableStream(WHERE, arrow, data.number_columns(), data.label_column, REMEDIES)
+        columns = run_file.data.number_columns(), run_file.data.label_column
+        stream = TableStream(WHERE, arrow, *columns, remedies)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:
@@ -347,15 +318,14 @@ def _add_units(data: dict[str, Any], output: str, units: dict[str, str], stated:
     Refuses names that are not text, and a reference or base rate that is not three columns.
     """
     kind = data["output"]["kind"]
-    likes = {"output": "rad/s" if kind == "rate" else "rad", **_SI, "segment": ""}
+    likes = {"output": "rad/s" if kind == "rate" else "rad", "time": "s", "temperature": "K", "segment": ""}
+    likes |= {"reference": "m/s^2", "base_rate": "rad/s"}
     for role, like in likes.items():
-        entry = data[role]
+        entry, three = data[role], role in ("reference", "base_rate")
         if entry is None:
             continue
-        names, three = entry, role in ("reference", "base_rate")
-        if isinstance(entry, dict):
-            names = entry["columns" if three else "column"]
-        listed = [names] if isinstance(names, str) or not three else list(names)
+        names = entry["columns" if three else "column"] if isinstance(entry, dict) else entry
+        listed = list(names) if three and not isinstance(names, str) else [names]
         if len(listed) != (3 if three else 1) or not all(isinstance(name, str) for name in listed):
             raise ArgumentError(
                 f"{role}: {names!r} is not {'three names of columns' if three else 'the name of a column'}",
@@ -366,12 +336,12 @@ def _add_units(data: dict[str, Any], output: str, units: dict[str, str], stated:
         if role == "output" and output != GYRO:
             entry["unit"] = units.get(names, output)
             continue
-        unknown = [name for name in listed if name in stated and name not in units and like != "s"]
-        if unknown:
-            raise ArgumentError(
-                f"units: that of column '{unknown[0]}' is not stated",
-                remedy=f"add units={{'{unknown[0]}': '{like}'}}, or units='SI' if all columns are in SI",
-            )
+        for name in listed:
+            if name in stated and name not in units and like != "s":
+                raise ArgumentError(
+                    f"units: that of column '{name}' is not stated",
+                    remedy=f"add units={{'{name}': '{like}'}}, or units='SI' if all columns are in SI",
+                )
         several = {units.get(name, like) for name in listed}
         if len(several) > 1:
             raise ArgumentError(

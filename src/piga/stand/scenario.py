@@ -41,18 +41,9 @@ from piga.records.terms import (
     unit_of,
 )
 from piga.records.text_files import read_toml
-from piga.stand.machines import (
-    Centrifuge,
-    DividingHead,
-    Drive,
-    RateTable,
-    SpinPlan,
-    VibrationTable,
-    angles_of_range,
-    rates_for_levels,
-)
+from piga.stand import machines
 from piga.stand.profile import Composite, Imperfections, Stand, imperfections, read_profile
-from piga.stand.simulate import Harmonics, Model, SimulatedTest, Specimen, simulate_test
+from piga.stand.simulate import Model, SimulatedTest, Specimen, simulate_test
 from piga.units import to_si
 
 _Metres = Annotated[Quantity, in_unit("m")]
@@ -145,14 +136,14 @@ class DividingHeadTable(SiteTable, frozen=True, tag_field="kind", tag="dividing-
     def build(self, _folder: Path) -> Stand:
         """The stand."""
         site, si = self.at_site()
-        return DividingHead(site, head_positions(self.positions), **si)
+        return machines.DividingHead(site, head_positions(self.positions), **si)
 
 
 def head_positions(value: str | Sequence[Quantity]) -> tuple[float, ...]:
     """Angles [rad] of a dividing head, from ``"start:stop:step unit"`` or a list of angles."""
     if not isinstance(value, str):
         return _each(value, "rad", "positions")
-    return angles_of_range(value, "[stand] positions", "0:360:15 deg")
+    return machines.angles_of_range(value, "[stand] positions", "0:360:15 deg")
 
 
 class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"):
@@ -177,13 +168,13 @@ class CentrifugeTable(SiteTable, frozen=True, tag_field="kind", tag="centrifuge"
             raise ArgumentError(f"[stand] radius: {radius:g} m is not positive", remedy="e.g. '2.5 m'")
         if (self.levels is None) == (self.rates is None):
             raise ArgumentError("[stand] needs either levels or rates", remedy='e.g. levels = ["1 g", "2 g"]')
+        rates = _each(self.rates or (), "rad/s", "rates")
         if self.levels is not None:
-            rates = rates_for_levels(_each(self.levels, "m/s^2", "levels"), radius, si["stretch"])
-        else:
-            rates = _each(self.rates or (), "rad/s", "rates")
-        rates = rates + rates[-2::-1] if self.down else rates
-        spin = SpinPlan(rates, si.pop("dwell"), si.pop("ramp"))
-        return Centrifuge(site, spin=spin, counter_rotating=self.counter_rotating, outward=self.outward, **si)
+            rates = machines.rates_for_levels(_each(self.levels, "m/s^2", "levels"), radius, si["stretch"])
+        spin = machines.SpinPlan(rates + rates[-2::-1] if self.down else rates, si.pop("dwell"), si.pop("ramp"))
+        return machines.Centrifuge(
+            site, spin=spin, counter_rotating=self.counter_rotating, outward=self.outward, **si
+        )
 
 
 class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table"):
@@ -200,8 +191,8 @@ class RateTableTable(SiteTable, frozen=True, tag_field="kind", tag="rate-table")
     def build(self, _folder: Path) -> Stand:
         """The stand."""
         site, si = self.at_site()
-        spin = SpinPlan(_each(self.rates, "rad/s", "rates"), si.pop("dwell"), si.pop("ramp"))
-        return RateTable(site, spin, self.along, self.axis == "horizontal", **si)
+        spin = machines.SpinPlan(_each(self.rates, "rad/s", "rates"), si.pop("dwell"), si.pop("ramp"))
+        return machines.RateTable(site, spin, self.along, self.axis == "horizontal", **si)
 
 
 class DriveTable(TomlTable, frozen=True):
@@ -215,10 +206,10 @@ class DriveTable(TomlTable, frozen=True):
     taper: Seconds = "0.5 s"
     seed: int = 1
 
-    def drive(self) -> Drive:
+    def drive(self) -> machines.Drive:
         """The drive in SI."""
         si = self.in_si("[stand] drives.")
-        return Drive(self.shape, seed=self.seed, **({"last_frequency": si["frequency"]} | si))
+        return machines.Drive(self.shape, seed=self.seed, **({"last_frequency": si["frequency"]} | si))
 
 
 class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibration-table"):
@@ -230,9 +221,8 @@ class VibrationTableTable(SiteTable, frozen=True, tag_field="kind", tag="vibrati
 
     def build(self, _folder: Path) -> Stand:
         """The stand."""
-        return VibrationTable(
-            self.at_site()[0], tuple(drive.drive() for drive in self.drives), self.axis, self.up
-        )
+        drives = tuple(drive.drive() for drive in self.drives)
+        return machines.VibrationTable(self.at_site()[0], drives, self.axis, self.up)
 
 
 class ProfileTable(TomlTable, frozen=True, tag_field="kind", tag="profile"):
@@ -334,15 +324,10 @@ def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
     try:
         if table.instrument.servo is not None:
             table.instrument.servo.parameters()
-        scenario = Scenario(
-            path,
-            table,
-            table.stand.build(path.parent),
-            _specimen(table),
-            _electronics(table),
-            _temperature(table),
-        )
-        scenario.imperfections(table.run.seed).require(scenario.stand.accepted, scenario.stand.kind)
+        stand, warmth = table.stand.build(path.parent), table.temperature
+        temperature = None if warmth is None else Temperature(**warmth.in_si("[temperature] "))
+        scenario = Scenario(path, table, stand, _specimen(table), _electronics(table), temperature)
+        scenario.imperfections(table.run.seed).require(stand.accepted, stand.kind)
     except (ArgumentError, RunFileError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
     return scenario
@@ -356,9 +341,7 @@ def run_scenario(
     force: bool = False,
     progress: Progress | None = None,
 ) -> SimulatedTest:
-    """Simulate a scenario. ``model`` and ``seed`` override the file. ``force`` allows an unstable servo loop.
-
-    ``progress`` is that of :func:`simulate_test`.
+    """Simulate a scenario. ``model`` and ``seed`` override the file. ``force`` and ``progress`` as in :func:`simulate_test`.
 
     Raises
     ------
@@ -393,21 +376,19 @@ def output_unit(table: ScenarioTable) -> str:
     RunFileError
         If the unit or a table belongs to the other kind of instrument.
     """
-    electronics, direct = table.electronics, table.instrument.kind == "direct"
-    if direct and electronics.output == "rate" and electronics.unit is not None:
-        check_direct_unit(electronics.unit, "[electronics] unit")
-        return electronics.unit
-    if electronics.unit is not None or (direct and electronics.output != "counts"):
-        raise RunFileError(
-            f"[electronics] output '{electronics.output}' {'needs' if direct else 'has no'} unit",
-            remedy="use output = 'rate' with a unit, or 'counts' without one"
-            if direct
-            else "leave the unit out",
-        )
+    unit, direct = table.electronics.unit, table.instrument.kind == "direct"
+    if direct and unit is not None and table.electronics.output == "rate":
+        check_direct_unit(unit, "[electronics] unit")
+        return unit
+    if unit is not None or (direct and table.electronics.output != "counts"):
+        remedy = "use output = 'rate' with a unit, or 'counts' without one" if direct else "leave the unit out"
+        has = "needs" if direct else "has no"
+        raise RunFileError(f"[electronics] output '{table.electronics.output}' {has} unit", remedy=remedy)
     return "count/s" if direct else GYRO
 
 
 def _specimen(table: ScenarioTable) -> Specimen:
+    """The instrument, with the terms and harmonics of ``[truth]``."""
     truth, unit = table.truth, output_unit(table)
     for name in truth:
         if unit != GYRO and (name in ("beta", "alpha0") or turns(name)):
@@ -421,44 +402,36 @@ def _specimen(table: ScenarioTable) -> Specimen:
             raise ArgumentError(f"[truth]: unknown key '{name}'", remedy=f"known keys: {listed}")
     if "beta" in truth and "tan_beta" in truth:
         raise ArgumentError("[truth]: beta and tan_beta are the same thing", remedy="leave one out")
-    tangent = to_si(truth.get("tan_beta", 0.0), "1", what="[truth] tan_beta")
+
+    def si(name: str, like: str, value: Quantity = 0.0) -> float:
+        return to_si(truth.get(name, value), like, what=f"[truth] {name}")
+
+    tangent = si("tan_beta", "1")
     instrument = Instrument(
         scale_factor_in(truth.get("scale_factor", table.instrument.scale_factor), unit, "[truth] scale_factor"),
-        to_si(truth["beta"], "rad", what="[truth] beta") if "beta" in truth else math.atan(tangent),
-        to_si(truth.get("alpha0", 0.0), "rad", what="[truth] alpha0"),
+        si("beta", "rad") if "beta" in truth else math.atan(tangent),
+        si("alpha0", "rad"),
     )
-    twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
-    s, d, v = (to_si(truth.get(name, 0.0), unit_of(name), what=f"[truth] {name}") for name in _APART)
-    if unit == GYRO and v:
+    servo, damping, k2v = (si(name, unit_of(name)) for name in _APART)
+    if unit == GYRO and k2v:
         raise ArgumentError("[truth]: 'k2v' is simulated for a direct instrument only", remedy="leave it out")
-    return Specimen(instrument, _error_model(table), _harmonics(table), s, d, v, twin, table.run.start, unit)
-
-
-def _error_model(table: ScenarioTable) -> ErrorModel:
-    terms = {
-        name: to_si(value, unit_of(name), what=f"[truth] {name}")
-        for name, value in table.truth.items()
-        if name not in (*_MOTION, *_APART) and harmonic(name) is None
-    }
-    model = ErrorModel.from_terms(terms)
-    reference = table.truth.get("T_ref", table.model.get("temperature_reference", "20 degC"))
-    return replace(model, T_ref=to_si(reference, "K", what="[truth] T_ref"))
-
-
-def _harmonics(table: ScenarioTable) -> Harmonics:
-    """Amplitudes [m/s^2] of sine and cosine by order."""
-    result: dict[int, tuple[float, float]] = {}
-    for name, value in table.truth.items():
+    terms: dict[str, float] = {}
+    harmonics: dict[int, tuple[float, float]] = {}
+    for name in truth:
         wave = harmonic(name)
         if wave is not None:
-            amplitude = to_si(value, "g", what=f"[truth] {name}")
-            sine, cosine = result.get(wave[1], (0.0, 0.0))
-            result[wave[1]] = (amplitude, cosine) if wave[0] == "s" else (sine, amplitude)
-    return result
+            sine, cosine = harmonics.get(wave[1], (0.0, 0.0))
+            harmonics[wave[1]] = (si(name, "g"), cosine) if wave[0] == "s" else (sine, si(name, "g"))
+        elif name not in (*_MOTION, *_APART):
+            terms[name] = si(name, unit_of(name))
+    reference = si("T_ref", "K", table.model.get("temperature_reference", "20 degC"))
+    model = replace(ErrorModel.from_terms(terms), T_ref=reference)
+    twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
+    return Specimen(instrument, model, harmonics, servo, damping, k2v, twin, table.run.start, unit)
 
 
 def _electronics(table: ScenarioTable) -> Electronics:
-    kind, coloured = table.electronics.output, table.noise.in_si("[noise] ")
+    kind, unit, coloured = table.electronics.output, output_unit(table), table.noise.in_si("[noise] ")
     for key, value in coloured.items():
         if value < 0.0:
             raise ArgumentError(
@@ -469,23 +442,17 @@ def _electronics(table: ScenarioTable) -> Electronics:
         raise ArgumentError(
             "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
         )
-    unit = output_unit(table)
-    count = integral_unit(unit)
     noise = {
-        name: level_in(getattr(table.electronics, name), like, f"[electronics] {name}")
-        for name, like in (("angle_noise", count), ("angle_random_walk", f"{count}/sqrt(s)"))
+        name: level_in(
+            getattr(table.electronics, name), f"{integral_unit(unit)}{like}", f"[electronics] {name}"
+        )
+        for name, like in (("angle_noise", ""), ("angle_random_walk", "/sqrt(s)"))
     }
     return Electronics(
         kind=kind,
         counts_per_revolution=table.instrument.counts_per_revolution if unit == GYRO else 2.0 * math.pi,
         counter_bits=table.instrument.counter_bits if kind == "counts" else None,
-        bias_flicker=coloured["flicker"],
-        bias_markov=coloured["markov"],
-        bias_markov_time=coloured["markov_time"],
+        **{f"bias_{name}": value for name, value in coloured.items()},
         **noise,
         **table.electronics.in_si("[electronics] "),
     )
-
-
-def _temperature(table: ScenarioTable) -> Temperature | None:
-    return None if table.temperature is None else Temperature(**table.temperature.in_si("[temperature] "))

@@ -22,7 +22,6 @@ from piga.instrument.twin.linear import (
     predicted_second_harmonic,
     servo_terms,
 )
-from piga.instrument.twin.parameters import TwinParameters
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.records.text_files import toml_text
 from piga.results import Array, label_column, number_column
@@ -49,61 +48,48 @@ class TrueValue:
 def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
     """True coefficients: scale factor, tan beta, phases, and every term that is not zero.
 
-    With the twin, the bias and k2 of its torques and inertias are added to those of the error model. The terms
-    ``servo`` and ``servo_damping`` are then predicted from its servo at a small rate.
-    Harmonics refer to the zero of the output angle.
+    With the twin, the bias of torques about its inner axis and the k2 of the float's inertia are added to those of the
+    error model. The terms ``servo`` and ``servo_damping`` are then predicted from its servo at a small rate.
+    Harmonics refer to the zero of the output angle. ``phi``: one value if all segments share it, else one per
+    segment; a log of rates has no zero, and so no phase.
     """
-    instrument = test.specimen.instrument
+    specimen, model = test.specimen, test.specimen.error_model
+    instrument, direct = specimen.instrument, specimen.direct
     values = {"scale_factor": instrument.scale_factor}
-    values |= {} if test.specimen.direct else {"tan_beta": abs(instrument.tan_beta)}
-    model = test.specimen.error_model
+    values |= {} if direct else {"tan_beta": abs(instrument.tan_beta)}
     values |= {f.name: getattr(model, f.name) for f in fields(model) if f.name not in ("T_ref", "s1", "c1")}
-    values |= {"servo": test.specimen.servo, "servo_damping": test.specimen.servo_damping}
-    values["k2v"] = test.specimen.k2v
+    values |= {"servo": specimen.servo, "servo_damping": specimen.servo_damping, "k2v": specimen.k2v}
     if test.model == "twin":
-        for name, extra in _of_twin(test.specimen.design).items():
-            values[name] += extra
-    kept = [
-        TrueValue(name, value / si_factor(name), unit_of(name, test.specimen.unit))
+        p = specimen.design
+        values["k0"] += (p.restoring * (p.pick_off_null - p.restoring_zero) - p.inner_torque) / p.pendulosity
+        values["k2"] += predicted_k2(p)
+        if p.integral_gain > 0.0:
+            terms = servo_terms(p)
+            values["servo"] += terms.servo
+            values["servo_damping"] += terms.servo_damping
+    rows = [
+        TrueValue(name, value / si_factor(name), unit_of(name, specimen.unit))
         for name, value in values.items()
         if value != 0.0 or name in ("scale_factor", "tan_beta", "k0")
     ]
-    return tuple(kept) if test.specimen.direct else (*kept, *_harmonics(test), *_phases(test))
-
-
-def _of_twin(p: TwinParameters) -> dict[str, float]:
-    """Bias [m/s^2] from torques about the inner axis, k2 [1/(m/s^2)] from the float's inertia, the servo's terms."""
-    bias = (p.restoring * (p.pick_off_null - p.restoring_zero) - p.inner_torque) / p.pendulosity
-    values = {"k0": bias, "k2": predicted_k2(p)}
-    if p.integral_gain > 0.0:
-        terms = servo_terms(p)
-        values |= {"servo": terms.servo, "servo_damping": terms.servo_damping}
-    return values
-
-
-def _harmonics(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    orders = dict(test.specimen.harmonics)
-    model = test.specimen.error_model
+    if direct:
+        return tuple(rows)
+    waves = dict(specimen.harmonics)
     if model.s1 or model.c1:
-        sine, cosine = orders.get(1, (0.0, 0.0))
-        orders[1] = (sine + model.s1, cosine + model.c1)
-    values = []
-    for order, (sine, cosine) in sorted(orders.items()):
+        sine, cosine = waves.get(1, (0.0, 0.0))
+        waves[1] = (sine + model.s1, cosine + model.c1)
+    for order, (sine, cosine) in sorted(waves.items()):
         c, s = math.cos(order * test.phases[0]), math.sin(order * test.phases[0])
-        values.append(TrueValue(f"s{order}", (sine * c - cosine * s) / G0, "g"))
-        values.append(TrueValue(f"c{order}", (sine * s + cosine * c) / G0, "g"))
-    return tuple(values)
-
-
-def _phases(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    """``phi``: one value if all segments share it, else one per segment. A log of rates has no zero, and so no phase."""
+        rows.append(TrueValue(f"s{order}", (sine * c - cosine * s) / G0, "g"))
+        rows.append(TrueValue(f"c{order}", (sine * s + cosine * c) / G0, "g"))
     if test.electronics.kind == "rate":
-        return ()
-    turn = math.pi if test.specimen.instrument.beta < 0.0 else 0.0
+        return tuple(rows)
+    turn = math.pi if instrument.beta < 0.0 else 0.0
     phases = [math.remainder(phase + turn, 2.0 * math.pi) for phase in test.phases]
     if _shares_phase(test):
-        return (TrueValue("phi", phases[0], "rad"),)
-    return tuple(TrueValue("phi", p, "rad", name) for p, name in zip(phases, test.log.labels, strict=True))
+        return (*rows, TrueValue("phi", phases[0], "rad"))
+    each = zip(phases, test.log.labels, strict=True)
+    return (*rows, *(TrueValue("phi", phase, "rad", label) for phase, label in each))
 
 
 def _shares_phase(test: SimulatedTest) -> bool:
@@ -118,19 +104,16 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
     """Non-zero imperfections in the units of the uncertainty budget, vectors by component."""
     rows = []
     for entry in fields(errors):
-        value, unit = getattr(errors, entry.name), str(entry.metadata["unit"])
-        factor = parse_unit(unit).factor
-        if entry.name == "angle_harmonics":
-            rows += [
-                TrueValue(f"{entry.name}[{n}]", a / factor, unit, note=f"phase {p:g} rad") for n, a, p in value
-            ]
+        name, value, unit = entry.name, getattr(errors, entry.name), str(entry.metadata["unit"])
+        parts = [(name, value, "")]
+        if name == "angle_harmonics":
+            parts = [(f"{name}[{n}]", a, f"phase {p:g} rad") for n, a, p in value]
         elif isinstance(value, tuple):
-            names = ("X0", "Y0", "Z0") if len(value) == 3 else ("1", "2")
-            rows += [
-                TrueValue(f"{entry.name} {n}", v / factor, unit) for n, v in zip(names, value, strict=True) if v
-            ]
-        elif value:
-            rows.append(TrueValue(entry.name, value / factor, unit))
+            axes = ("X0", "Y0", "Z0") if len(value) == 3 else ("1", "2")
+            parts = [(f"{name} {axis}", v, "") for axis, v in zip(axes, value, strict=True)]
+        rows += [
+            TrueValue(key, v / parse_unit(unit).factor, unit, note=note) for key, v, note in parts if v or note
+        ]
     return tuple(rows)
 
 
@@ -154,24 +137,21 @@ def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:
         return ()
     p = test.specimen.design
     rate = p.K * G0
-    shift = predicted_rectification(p, G0, rate)
-    ripple = predicted_second_harmonic(p, G0, rate)
+    shift, ripple = predicted_rectification(p, G0, rate) / rate, predicted_second_harmonic(p, G0, rate) / rate
     return (
-        TrueValue("rectification", shift / rate, "1", note="relative shift of the mean rate, 1 g and 1 g"),
-        TrueValue("second_harmonic", ripple / (p.K * G0), "g", note="at twice the gimbal angle, 1 g and 1 g"),
+        TrueValue("rectification", shift, "1", note="relative shift of the mean rate, 1 g and 1 g"),
+        TrueValue("second_harmonic", ripple, "g", note="at twice the gimbal angle, 1 g and 1 g"),
     )
 
 
-_TRUTH_SCHEMA = "piga.truth/1"
-_AXES = "xyz"
 _OUTPUT = {"counts": "counts", "angle": "psi_rad", "rate": "rate_rad_s"}
+"""Column of the output, by its kind."""
+_FORCE, _RATE = [f"f{axis}_g" for axis in "xyz"], [f"w{axis}_rad_s" for axis in "xyz"]
 
 
 def _output_name(test: SimulatedTest) -> str:
-    """Column of the output."""
-    return (
-        "output" if test.specimen.direct and test.electronics.kind == "rate" else _OUTPUT[test.electronics.kind]
-    )
+    kind = test.electronics.kind
+    return "output" if test.specimen.direct and kind == "rate" else _OUTPUT[kind]
 
 
 def log_table(test: SimulatedTest) -> pa.Table:
@@ -183,15 +163,13 @@ def log_table(test: SimulatedTest) -> pa.Table:
         segment = number_column(np.array(log.labels).astype(np.int32)[log.segment])
     else:
         segment = label_column(log.segment.astype(np.int32), log.labels).dictionary_decode()
-    columns = {"t_s": number_column(log.t), "segment": segment}
-    columns[_output_name(test)] = number_column(log.output)
-    columns |= {f"f{axis}_g": number_column(log.reference[:, k] / G0) for k, axis in enumerate(_AXES)}
-    if not test.specimen.direct:
-        columns |= {f"w{axis}_rad_s": number_column(log.base_rate[:, k]) for k, axis in enumerate(_AXES)}
-    columns["T_degC"] = number_column(log.temperature - 273.15)
-    if log.vibration is not None:
-        columns["vibration_g"] = number_column(log.vibration / G0)
-    return pa.Table.from_arrays(list(columns.values()), names=list(columns))
+    columns = {"t_s": log.t, "segment": segment, _output_name(test): log.output}
+    columns |= dict(zip(_FORCE, (log.reference / G0).T, strict=True))
+    columns |= {} if test.specimen.direct else dict(zip(_RATE, log.base_rate.T, strict=True))
+    columns["T_degC"] = log.temperature - 273.15
+    columns |= {} if log.vibration is None else {"vibration_g": log.vibration / G0}
+    made = [number_column(c) if isinstance(c, np.ndarray) else c for c in columns.values()]
+    return pa.Table.from_arrays(made, names=list(columns))
 
 
 def write_data(test: SimulatedTest, path: Path) -> None:
@@ -207,62 +185,48 @@ def write_data(test: SimulatedTest, path: Path) -> None:
 
 def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> str:
     """The run file (TOML) of the test, for ``piga calibrate``."""
-    described, electronics = scenario.table.instrument, test.electronics
-    instrument: dict[str, Any] = {"serial": described.serial, "scale_factor": described.scale_factor}
-    output: dict[str, Any] = {"column": _output_name(test), "kind": electronics.kind}
-    direct = test.specimen.direct
-    instrument |= {"kind": "direct"} if direct else {}
-    if electronics.kind == "counts":
-        instrument |= {} if direct else {"counts_per_revolution": described.counts_per_revolution}
-        if described.counter_bits is not None:
-            instrument["counter_bits"] = described.counter_bits
-    else:
-        output["unit"] = "rad" if electronics.kind == "angle" else test.specimen.unit
-    if described.servo is not None:
-        instrument["servo"] = given_values(msgspec.to_builtins(described.servo))
-    data = {
-        "file": data_file,
-        "time": {"column": "t_s", "unit": "s"},
-        "output": output,
-        "reference": {"columns": [f"f{axis}_g" for axis in _AXES], "unit": "g"},
-        "base_rate": {"columns": [f"w{axis}_rad_s" for axis in _AXES], "unit": "rad/s"},
-        "temperature": {"column": "T_degC", "unit": "degC"},
-        "segment": "segment",
-    }
-    if direct:
-        del data["base_rate"]
-    if test.log.vibration is not None:
-        data["vibration"] = {"column": "vibration_g", "unit": "g"}
-    tables = {"instrument": instrument, "data": data, "model": _model(scenario, test)}
-    tables |= {
-        "stand": given_values(msgspec.to_builtins(scenario.table.stand)),
-        "estimation": scenario.table.estimation,
-        "uncertainty": _uncertainty(scenario),
+    table, direct, kind = scenario.table, test.specimen.direct, test.electronics.kind
+    described, counts = table.instrument, kind == "counts"
+    unit = None if counts else "rad" if kind == "angle" else test.specimen.unit
+    tables: dict[str, Any] = {
+        "instrument": {
+            "serial": described.serial,
+            "scale_factor": described.scale_factor,
+            "kind": "direct" if direct else None,
+            "counts_per_revolution": described.counts_per_revolution if counts and not direct else None,
+            "counter_bits": described.counter_bits if counts else None,
+            "servo": msgspec.to_builtins(described.servo),
+        },
+        "data": {
+            "file": data_file,
+            "time": {"column": "t_s", "unit": "s"},
+            "output": {"column": _output_name(test), "kind": kind, "unit": unit},
+            "reference": {"columns": _FORCE, "unit": "g"},
+            "base_rate": None if direct else {"columns": _RATE, "unit": "rad/s"},
+            "temperature": {"column": "T_degC", "unit": "degC"},
+            "segment": "segment",
+            "vibration": None if test.log.vibration is None else {"column": "vibration_g", "unit": "g"},
+        },
+        "model": _model(scenario, test),
+        "stand": msgspec.to_builtins(table.stand),
+        "estimation": table.estimation,
+        "uncertainty": (table.imperfections if table.run.imperfections == "drawn" else {}) | table.uncertainty,
     }
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
-    return comment + toml_text({name: table for name, table in tables.items() if table})
+    return comment + toml_text({name: given_values(part) for name, part in tables.items() if part})
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
-    """``[model]`` of the scenario; else every term of the truth that the servo's parameters do not give."""
-    model = dict(scenario.table.model)
+    """``[model]`` of the scenario; else every term of the truth that the servo's known parameters do not give."""
+    model, servo = dict(scenario.table.model), scenario.table.instrument.servo
+    given = () if servo is None else SERVO_TERMS if servo.damping is not None else SERVO_TERMS[:1]
     if "terms" not in model:
-        known = _known_servo(scenario)
-        names = [value.name for value in coefficients(test) if value.name not in ("phi", "k1", *known)]
-        model["terms"] = names
+        model["terms"] = [v.name for v in coefficients(test) if v.name not in ("phi", "k1", *given)]
     if not test.specimen.direct:
         model.setdefault("phases", "shared" if _shares_phase(test) else "per-segment")
     return model
-
-
-def _known_servo(scenario: Scenario) -> tuple[str, ...]:
-    """Terms that ``[instrument] servo`` gives."""
-    servo = scenario.table.instrument.servo
-    if servo is None:
-        return ()
-    return SERVO_TERMS if servo.damping is not None else SERVO_TERMS[:1]
 
 
 def given_values(value: Any) -> Any:
@@ -274,21 +238,18 @@ def given_values(value: Any) -> Any:
     return value
 
 
-def _uncertainty(scenario: Scenario) -> dict[str, Any]:
-    """``[uncertainty]`` as written and, if imperfections were drawn, their standard uncertainties."""
-    drawn = scenario.table.imperfections if scenario.table.run.imperfections == "drawn" else {}
-    return drawn | scenario.table.uncertainty
-
-
 def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     """The truth as one JSON document (schema ``piga.truth/1``)."""
+    kinds = {
+        "coefficients": coefficients(test),
+        "imperfections": imperfection_values(test.imperfections),
+        "predicted": predictions(test),
+    }
     document: dict[str, Any] = {
-        "schema": _TRUTH_SCHEMA,
+        "schema": "piga.truth/1",
         "instrument": {"serial": scenario.table.instrument.serial},
         "simulation": {"model": test.model, "stand": test.stand.kind, "seed": test.seed},
-        "coefficients": [_entry(value) for value in coefficients(test)],
-        "imperfections": [_entry(value) for value in imperfection_values(test.imperfections)],
-        "predicted": [_entry(value) for value in predictions(test)],
+        **{name: [_entry(value) for value in values] for name, values in kinds.items()},
         "provenance": {"software": f"piga {__version__}", "scenario": scenario.path.name},
     }
     if test.motion is not None:
@@ -298,7 +259,7 @@ def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     return document
 
 
-def _entry(value: Any) -> dict[str, Any]:
+def _entry(value: TrueValue) -> dict[str, Any]:
     entry = {key: item for key, item in asdict(value).items() if item not in (None, "")}
     return entry | ({"segment": None} if value.name == "phi" and value.segment is None else {})
 
