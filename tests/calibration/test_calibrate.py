@@ -231,16 +231,16 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("run", "terms", "named", "remedy"),
+    ("force", "terms", "named", "remedy"),
     [
-        (still((1.0, 0.3, 0.0)), ["scale_factor", "k0"], ["scale_factor", "k0"], "a_x never changes"),
-        (still((1.0, 0.3, 0.0)), ["k0", "k2"], ["k0", "k2"], "another \\|a_x\\|"),
-        (still((1.0, 0.0, 0.0)), ["scale_factor", "tan_beta"], ["tan_beta"], "transverse force"),
+        ((1.0, 0.3, 0.0), ["scale_factor", "k0"], ["scale_factor", "k0"], "a_x never changes"),
+        ((1.0, 0.3, 0.0), ["k0", "k2"], ["k0", "k2"], "another \\|a_x\\|"),
+        ((1.0, 0.0, 0.0), ["scale_factor", "tan_beta"], ["tan_beta"], "transverse force"),
     ],
 )
-def test_what_cannot_be_identified_is_refused_by_name(run, terms, named, remedy) -> None:
+def test_what_cannot_be_identified_is_refused_by_name(force, terms, named, remedy) -> None:
     with pytest.raises(piga.IdentifiabilityError, match=remedy) as caught:
-        piga.calibrate(run, terms)
+        piga.calibrate(still(force), terms)
     assert all(name in caught.value.message for name in named)
 
 

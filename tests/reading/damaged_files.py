@@ -7,6 +7,7 @@ reference (1, 0.1, 0) g. Each case damages it in one way of the fault catalogue 
 
 from __future__ import annotations
 
+import functools
 import gzip
 import io
 import random
@@ -193,7 +194,7 @@ def shape() -> list[Case]:
         repair("blank-lines", whole.replace(b"\n", b"\n\n", 3), {"blank-line": 3}),
         repair("gzip", gzip.compress(whole), {}, file="run.csv.gz"),
         error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
-        error("gzip-bomb", gzip.compress(whole + b"\n" * 40_000_000), "unpacks to more than", file="run.csv.gz"),
+        error("gzip-bomb", gzip.compress(whole + b"\n" * 40_000_000, 1), "unpacks to more than", file="run.csv.gz"),
         error("sidecar-differs", whole, "SHA-256 is not the one", sidecar="0" * 64 + "  run.csv\n"),
         error("thousands-of-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "c59 and 4940 more"),
         error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),
@@ -208,7 +209,7 @@ def shape() -> list[Case]:
 
 def _zip_bomb() -> bytes:
     memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as out:
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as out:
         out.writestr("xl/worksheets/sheet1.xml", bytes(64 << 20))
     return memory.getvalue()
 
@@ -272,6 +273,7 @@ def noise() -> list[Case]:
     return cases
 
 
+@functools.cache
 def cases() -> list[Case]:
     """All damaged files."""
     return [*encodings(), *numbers(), *shape(), *signals(), *noise()]
