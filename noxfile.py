@@ -112,7 +112,9 @@ def lock(session: nox.Session) -> None:
         "3.11",
         "--generate-hashes",
     ]
-    resolve += ["--no-emit-index-url", "--no-annotate", "--no-header", "pyproject.toml"]
+    resolve += ["--no-emit-index-url", "--no-annotate", "--no-header"]
+    session.run(*resolve, "--group", "installer", "-o", "requirements/installer.txt", *session.posargs)
+    resolve.append("pyproject.toml")
     every = ["--all-extras", "--group", "dev", "--group", "docs"]
     session.run(*resolve, *every, "-o", "requirements/all.txt", *session.posargs)
     for name, extras in EXPORTED.items():
