@@ -52,7 +52,8 @@ def on_terminal(
     """
     import pty
 
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job, and its children would, too
+    # A background job of a shell ignores Ctrl-C, and its children would, too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     master, slave = pty.openpty()
     process = subprocess.Popen(
