@@ -170,6 +170,12 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     values = {c["name"]: c for c in first["coefficients"] if c["name"] != "phi"}
     assert abs(values["k_YY"]["value"] + 5e-6) < 4.0 * values["k_YY"]["std"]
     assert values["m_Y"]["run"] == "dividing-head"
+    whole = ("compensate", spun, "--calibration", str(tmp_path / "joint/calibration.json"))
+    done = piga(*whole, "--out", str(tmp_path / "out.csv"))
+    assert done.returncode == 2
+    assert "--as-run dividing-head" in done.stderr
+    done = piga(*whole, "--as-run", "centrifuge", "--out", str(tmp_path / "out.csv"))
+    assert done.returncode == 0, done.stderr
     summary = str(tmp_path / "joint/summary-dividing-head.json")
     done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
     again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}

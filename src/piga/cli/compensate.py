@@ -37,6 +37,10 @@ def compensate(
         list[Path] | None,
         typer.Option(metavar="CALIBRATION.json", help="Calibration record; one per run.", show_default=False),
     ] = None,
+    as_run: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Take a joint calibration as this run sees it.", show_default=False),
+    ] = None,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="Result, .parquet or .csv; - for a live stream.")
     ] = Path("-"),
@@ -88,7 +92,7 @@ def compensate(
     if resume:
         raise ArgumentError("--resume is gone", remedy="run the same command again without it")
     read = [read_with_digest(path) for path in calibration or []]
-    calibrations = [one for one, _ in read]
+    calibrations = [one if as_run is None else one.for_run(as_run) for one, _ in read]
     sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
@@ -96,7 +100,7 @@ def compensate(
     options = _CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
     live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
     if live or several:
-        _refuse(live, identify_phase=rest, phase=given, rate=period, report=report)
+        _refuse(live, identify_phase=rest, phase=given, rate=period, report=report, as_run=as_run)
     if live:
         _live(_one(calibrations), kind, options, arrow)
         return
@@ -168,6 +172,7 @@ def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
 _ONE_RECORD = {
     "identify_phase": ("live", "several", "give the phase, or use piga.compensation.PhaseFinder"),
     "phase": ("", "several", "give each [[triad.instrument]] its phase"),
+    "as_run": ("", "several", "compensate each instrument by itself"),
     "rate": ("live", "", "resample with piga.compensation.Resampler"),
     "report": ("live", "", "record the stream, then compensate the record"),
 }

@@ -222,7 +222,7 @@ def _used_coefficients(
         names = ", ".join(sorted({c.name for c in shared if c.run is not None}))
         raise CalibrationError(
             f"{names} differs between the runs of this joint calibration",
-            remedy=f"take it as one run sees it: Calibration.for_run('{calibration.runs[0].name}')",
+            remedy=f"take it as one run sees it: --as-run {calibration.runs[0].name} (in Python Calibration.for_run)",
         )
     by_segment = phases(calibration)
     if not by_segment:
