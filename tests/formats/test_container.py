@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 
 import piga
 from piga.errors import Where
-from piga.formats.container import read_container
+from piga.formats.container import CONTAINERS
 from tests.records.containers import (
     WRITERS,
     Whole,
@@ -32,7 +32,7 @@ NAMES = ("t", "n", "fx", "fy", "fz")
 
 
 def direct(path: Path, numeric: tuple[str, ...] = NAMES, label: str | None = None) -> Whole:
-    return whole(read_container(path, path.suffix, numeric, label))
+    return whole(CONTAINERS[path.suffix](path, numeric, label))
 
 
 @pytest.mark.parametrize("name", list(WRITERS))
@@ -83,7 +83,7 @@ def test_units_in_the_container_are_checked(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match=r"column 'fx' has the unit 'm/s\^2' in the file, but 'g'"):
         piga.read_run(write_run(tmp_path, "run.h5"))
     write_tdms(tmp_path / "run.tdms", columns(), {"t": "ms"})
-    assert read_container(tmp_path / "run.tdms", ".tdms", NAMES, None).units == {"t": "ms"}
+    assert CONTAINERS[".tdms"](tmp_path / "run.tdms", NAMES, None).units == {"t": "ms"}
 
 
 def test_matrices_structs_groups_and_labels(tmp_path: Path) -> None:
@@ -167,11 +167,11 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     book.create_sheet("notes")
     book.save(path)
     with pytest.raises(piga.DataError, match="2 sheets: 'log', 'notes'") as caught:
-        read_container(path, ".xlsx", NAMES, None)
+        CONTAINERS[".xlsx"](path, NAMES, None)
     assert [(fix.key, fix.value) for fix in caught.value.fixes] == [("sheet", "log"), ("sheet", "notes")]
     with pytest.raises(piga.DataError, match="no sheet 'data'"):
-        read_container(path, ".xlsx", NAMES, None, "data")
-    assert whole(read_container(path, ".xlsx", NAMES, None, "log")).rows.size == 40
+        CONTAINERS[".xlsx"](path, NAMES, None, "data")
+    assert whole(CONTAINERS[".xlsx"](path, NAMES, None, "log")).rows.size == 40
     run = piga.read_run(write_run(tmp_path, "run.xlsx", data='sheet = "log"'))
     assert run.size == 40
     sheet = book["log"]
@@ -179,7 +179,7 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     sheet["B9"] = "=B8+1"
     sheet["C10"] = "OVER"
     book.save(path)
-    table = read_container(path, ".xlsx", NAMES, None, "log")
+    table = CONTAINERS[".xlsx"](path, NAMES, None, "log")
     whole(table)
     assert {(e.kind, e.count, e.first_row) for e in table.events()} == {
         ("formula", 1, None), ("hidden-row", 1, None), ("missing-value", 1, 9), ("missing-value", 1, 10),
@@ -189,7 +189,7 @@ def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
     with pytest.raises(
         piga.DataError, match=r"row 12, column 'n' \(B\): '12.5' is text.*row 13, column 'fx' \(C\)"
     ):
-        read_container(path, ".xlsx", NAMES, None, "log")
+        CONTAINERS[".xlsx"](path, NAMES, None, "log")
 
 
 @pytest.mark.parametrize(
@@ -234,7 +234,7 @@ def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
     for row in ([], ["t", "n [1]"], ["s", None], [0.0, 1], [], [0.1, 2]):
         book.active.append(row)
     book.save(tmp_path / "a.xlsx")
-    table = read_container(tmp_path / "a.xlsx", ".xlsx", ("t", "n"), None)
+    table = CONTAINERS[".xlsx"](tmp_path / "a.xlsx", ("t", "n"), None)
     assert table.units == {"t": "s", "n": "1"}
     assert whole(table).rows.tolist() == [4, 6]
 
@@ -248,7 +248,7 @@ def test_cells_of_a_sheet(tmp_path: Path) -> None:
         if i == 20:
             book.active.append([])
     book.save(tmp_path / "a.xlsx")
-    stream = read_container(tmp_path / "a.xlsx", ".xlsx", ("t", "n"), "part")
+    stream = CONTAINERS[".xlsx"](tmp_path / "a.xlsx", ("t", "n"), "part")
     table = whole(stream)
     i = np.arange(40.0)
     np.testing.assert_array_equal(table.numbers["t"], i / 4.0)

@@ -15,7 +15,7 @@ from pyarrow import parquet
 from scipy.io import savemat
 
 import piga
-from piga.formats.container import read_container
+from piga.formats.container import CONTAINERS
 from tests.records.containers import columns, whole, write_h5, write_tdms, write_xlsx
 from tests.records.files import write_run
 
@@ -30,10 +30,10 @@ def test_a_channel_longer_than_its_file(tmp_path: Path) -> None:
     raw = path.read_bytes()
     index = struct.pack("<IIQ", 0x20, 1, 40)  # texts, one dimension, forty of them
     assert raw.count(index) == 1
-    assert whole(read_container(path, ".tdms", ("t",), "pos")).rows.size == 40
+    assert whole(CONTAINERS[".tdms"](path, ("t",), "pos")).rows.size == 40
     path.write_bytes(raw.replace(index, struct.pack("<IIQ", 0x20, 1, 1 << 40)))
     with pytest.raises(piga.DataError, match="unpacks to more than 2048 MiB"):
-        read_container(path, ".tdms", ("t",), "pos")
+        CONTAINERS[".tdms"](path, ("t",), "pos")
 
 
 def test_parquet_that_does_not_fit(tmp_path: Path) -> None:
@@ -60,12 +60,12 @@ def test_containers_without_a_row(tmp_path: Path, name: str) -> None:
     writer = {"run.h5": write_h5, "run.tdms": write_tdms, "run.xlsx": write_xlsx}[name]
     writer(tmp_path / name, columns(0))
     with pytest.raises(piga.DataError, match="no data"):
-        read_container(tmp_path / name, Path(name).suffix, NAMES, None)
+        CONTAINERS[Path(name).suffix](tmp_path / name, NAMES, None)
 
 
 def test_a_container_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match=r"run\.h5: cannot be read \(No such file"):
-        read_container(tmp_path / "run.h5", ".h5", NAMES, None)
+        CONTAINERS[".h5"](tmp_path / "run.h5", NAMES, None)
 
 
 def test_a_counter_beyond_what_a_float_counts(tmp_path: Path) -> None:
@@ -85,12 +85,12 @@ def test_hdf5_structs_and_units(tmp_path: Path) -> None:
         out["deep/fx"] = np.ones(4)
         out["deep/fx"].attrs["units"] = "g"
         out["deep/soft"] = h5py.SoftLink("/deep/fx")
-    result = read_container(path, ".h5", ("log/n", "deep/fx"), None)
+    result = CONTAINERS[".h5"](path, ("log/n", "deep/fx"), None)
     np.testing.assert_array_equal(whole(result).numbers["log/n"], [0, 3, 5, 9])
     assert result.units == {"deep/fx": "g"}
     for wrong in ("log/speed", "log/n/more", "log", "deep"):
         with pytest.raises(piga.DataError, match=r"no column .*log/t, log/n") as caught:
-            read_container(path, ".h5", (wrong,), None)
+            CONTAINERS[".h5"](path, (wrong,), None)
         assert "soft" not in str(caught.value).split("the columns are")[1]
 
 
@@ -100,12 +100,12 @@ def test_matlab_fields_and_labels(tmp_path: Path) -> None:
     cells[:] = ["up", "down", 7.0]
     savemat(path, {"log": {"t": np.arange(3.0)}, "place": cells, "word": np.array(["aa", "bb", "cc"])})
     with pytest.raises(piga.DataError, match=r"no column 'log.speed'"):
-        read_container(path, ".mat", ("log.speed",), None)
+        CONTAINERS[".mat"](path, ("log.speed",), None)
     with pytest.raises(piga.DataError, match=r"no column 'place.t.t'|no column 'log.t.t'"):
-        read_container(path, ".mat", ("log.t.t",), None)
-    codes, names = whole(read_container(path, ".mat", ("log.t",), "place")).label
+        CONTAINERS[".mat"](path, ("log.t.t",), None)
+    codes, names = whole(CONTAINERS[".mat"](path, ("log.t",), "place")).label
     assert [names[code] for code in codes] == ["up", "down", "7"]
-    codes, names = whole(read_container(path, ".mat", ("log.t",), "word")).label
+    codes, names = whole(CONTAINERS[".mat"](path, ("log.t",), "word")).label
     assert [names[code] for code in codes] == ["aa", "bb", "cc"]
 
 
@@ -120,8 +120,8 @@ def test_tdms_labels_and_channels_of_one_name(tmp_path: Path) -> None:
             ]
         )
     with pytest.raises(piga.DataError, match=r"(?s)several groups have a channel 't'.*'a/t', 'b/t'"):
-        read_container(path, ".tdms", ("t",), None)
-    result = whole(read_container(path, ".tdms", ("b/t",), "place"))
+        CONTAINERS[".tdms"](path, ("t",), None)
+    result = whole(CONTAINERS[".tdms"](path, ("b/t",), "place"))
     np.testing.assert_array_equal(result.numbers["b/t"], [1.0, 2.0, 3.0])
     codes, names = result.label
     assert [names[code] for code in codes] == ["up", "up", "down"]
@@ -134,7 +134,7 @@ def test_sheets_without_names_or_rows(tmp_path: Path) -> None:
         book.active.append(row)
         book.save(path)
         with pytest.raises(piga.DataError, match=message):
-            read_container(path, ".xlsx", NAMES, None)
+            CONTAINERS[".xlsx"](path, NAMES, None)
 
 
 def test_a_sheet_with_gaps_and_many_wrong_cells(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_a_sheet_with_gaps_and_many_wrong_cells(tmp_path: Path) -> None:
     for k in range(130):
         book.active.append([0.1 * k, "NaN" if k == 3 else k])
     book.save(path)
-    result = whole(read_container(path, ".xlsx", ("t", "n"), "place"))
+    result = whole(CONTAINERS[".xlsx"](path, ("t", "n"), "place"))
     assert np.flatnonzero(np.isnan(result.numbers["n"])).tolist() == [3]
     codes, names = result.label
     assert (set(codes.tolist()), names) == ({-1}, ())
@@ -152,4 +152,4 @@ def test_a_sheet_with_gaps_and_many_wrong_cells(tmp_path: Path) -> None:
         book.active.cell(row=row, column=2, value="seven")
     book.save(path)
     with pytest.raises(piga.DataError, match=r"(?s)seven.*more"):
-        read_container(path, ".xlsx", ("t", "n"), None)
+        CONTAINERS[".xlsx"](path, ("t", "n"), None)

@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 
 from piga.errors import DataError
-from piga.formats.container import read_container
+from piga.formats.container import CONTAINERS
 from tests.records.containers import whole
 
 ROWS = 300
@@ -20,7 +20,7 @@ VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS))
 
 
 def read(path: Path, numeric: tuple[str, ...], label: str | None = None) -> dict[str, np.ndarray]:
-    return whole(read_container(path, ".mat", numeric, label)).numbers
+    return whole(CONTAINERS[".mat"](path, numeric, label)).numbers
 
 
 def element(order: str, kind: int, data: bytes) -> bytes:
@@ -84,7 +84,7 @@ def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
 def test_labels_and_what_is_no_number(tmp_path: Path) -> None:
     words = np.array(["up", "down"], object)[np.arange(ROWS) % 2]
     savemat(tmp_path / "a.mat", {"t": VALUES, "n": VALUES.astype("i2"), "pos": words, "z": 1j * VALUES})
-    assert whole(read_container(tmp_path / "a.mat", ".mat", ("t", "n"), "pos")).label[1] == ("up", "down")
+    assert whole(CONTAINERS[".mat"](tmp_path / "a.mat", ("t", "n"), "pos")).label[1] == ("up", "down")
     with pytest.raises(DataError, match="column 'z' holds complex128"):
         read(tmp_path / "a.mat", ("t", "z"))
 
@@ -97,4 +97,4 @@ def test_declared_sizes_beyond_the_file(tmp_path: Path) -> None:
         longer = longer.replace(struct.pack("<ii", ROWS, 1), struct.pack("<ii", rows, 1))
         (tmp_path / "a.mat").write_bytes(longer)
         with pytest.raises(DataError):
-            read_container(tmp_path / "a.mat", ".mat", ("x",), None)
+            CONTAINERS[".mat"](tmp_path / "a.mat", ("x",), None)

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
-from piga.formats.container import read_container
+from piga.formats.container import CONTAINERS
 from piga.formats.parquet import ParquetStream
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
@@ -121,7 +121,7 @@ def test_mutated_containers(tmp_path: Path, name: str) -> None:
         warnings.simplefilter("ignore")
         for _ in range(70 * SCALE):
             path.write_bytes(mutated(source, draw))
-            outcome(lambda: read_container(path, path.suffix, NAMES, None))
+            outcome(lambda: CONTAINERS[path.suffix](path, NAMES, None))
 
 
 def _folder(factory: pytest.TempPathFactory) -> Path:
@@ -145,7 +145,7 @@ def read(path: Path) -> object:
         return list(TextStream(path, COLUMNS, None).chunks())
     if path.suffix == ".parquet":
         return list(ParquetStream(path, COLUMNS, None).chunks())
-    return read_container(path, path.suffix, COLUMNS, None)
+    return CONTAINERS[path.suffix](path, COLUMNS, None)
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)

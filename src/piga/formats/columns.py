@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import DataError, Fix, Where
+from piga.errors import EXTRAS, DataError, Fix, PigaError, Where, install_command
 from piga.records.calibration import Event
-from piga.records.limits import check_unpacked
-from piga.results import number_column, text_column
+from piga.records.limits import check_regular, check_unpacked, first_line
+from piga.results import Column, arrow_table
 
 CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
@@ -96,17 +96,21 @@ class RecordStream:
             unit = "s" if is_time(kind) else metadata.get(b"unit", b"").decode("utf-8", errors="replace")
             self.units |= {name: unit} if unit else {}
 
+    def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+        """Record batches of Arrow, and the file rows (n,) of each."""
+        raise NotImplementedError
+
     def chunks(self) -> Iterator[FileChunk]:
         """The rows in order, once."""
-        raise NotImplementedError
+        return (self._chunk(batch, rows) for batch, rows in self.batches())
 
     def events(self) -> list[Event]:
         """Faults and omissions; complete after the last chunk."""
         missing = [(name, *self._missing[name]) for name in self.numeric if name in self._missing]
         return [Event("missing-value", count, first, f"column '{name}'") for name, count, first in missing]
 
-    def chunk(self, batch: Any, rows: NDArray[np.int64]) -> FileChunk:
-        """A record batch of Arrow as a chunk. ``rows`` are the file rows (n,) of its rows. Missing values are counted."""
+    def _chunk(self, batch: Any, rows: NDArray[np.int64]) -> FileChunk:
+        """A batch as a chunk. Missing values are counted."""
         numbers = {}
         for name in self.numeric:
             column = batch.column(name)
@@ -150,13 +154,16 @@ class RecordStream:
 
 
 class TableStream(RecordStream):
-    """A table in memory. ``table`` is an Arrow table; ``rows`` are its file rows (n,), counted from 1 if None.
+    """A table in memory: an Arrow ``table``.
 
     Raises
     ------
     DataError
         If a column is missing or holds no numbers. ``remedies`` says for each of the two what to do.
     """
+
+    table: Any
+    rows: NDArray[np.int64]
 
     def __init__(
         self,
@@ -165,24 +172,17 @@ class TableStream(RecordStream):
         numeric: Iterable[str],
         label: str | None,
         remedies: tuple[str, str] = REMEDIES,
-        rows: NDArray[np.int64] | None = None,
-        noted: Iterable[Event] = (),
     ) -> None:
         super().__init__(path, numeric, label)
         self.take_schema(table.schema, remedies)
-        self.table, self._noted = table, list(noted)
-        self._rows = np.arange(1, 1 + table.num_rows, dtype=np.int64) if rows is None else rows
+        self.table, self.rows = table, np.arange(1, 1 + table.num_rows)
 
-    def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order."""
+    def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+        """Record batches, and the file rows of each."""
         start = 0
         for batch in self.table.select(self.wanted).to_batches(max_chunksize=CHUNK_ROWS):
-            yield self.chunk(batch, self._rows[start : start + batch.num_rows])
+            yield batch, self.rows[start : start + batch.num_rows]
             start += batch.num_rows
-
-    def events(self) -> list[Event]:
-        """Faults and omissions."""
-        return self._noted + super().events()
 
 
 def is_time(kind: Any) -> bool:
@@ -298,33 +298,59 @@ def label_text(value: object) -> str:
     return str(value).strip()
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is read of a container: its number columns and its segment column, by the names that the format uses.
+class Container(TableStream):
+    """The named columns of a file that is read whole.
 
-    ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
+    A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`read` opens the file and gives the columns to
+    :meth:`take`. ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read as requested, or unpacks to more than is read.
     """
 
-    path: Path
-    numeric: tuple[str, ...]
-    label: str | None
-    sheet: str | None = None
-    missing: tuple[str, ...] = ()
+    name = remedy = ""
 
-    @property
-    def names(self) -> list[str]:
-        """All columns."""
-        return list(dict.fromkeys([*self.numeric, *([] if self.label is None else [self.label])]))
+    def __init__(
+        self,
+        path: Path,
+        numeric: Iterable[str],
+        label: str | None = None,
+        sheet: str | None = None,
+        missing: tuple[str, ...] = (),
+    ) -> None:
+        RecordStream.__init__(self, path, numeric, label)
+        self.sheet, self.missing, self.noted = sheet, missing, list[Event]()
+        check_regular(path, "[data] file is relative to the run file")
+        try:
+            self.read()
+        except PigaError:
+            raise
+        except ImportError as error:
+            extra = EXTRAS[str(error.name).split(".")[0]]
+            words = f"reading {self.name} needs the extra '{extra}', which is not installed"
+            raise self.refusal(words, f"install it with: {install_command(extra)}") from None
+        except MemoryError:
+            remedy = "the file is damaged, or export it as Parquet"
+            raise self.refusal("there is not enough memory to read it", remedy) from None
+        except Exception as error:  # a damaged file can raise any exception in the library
+            words = f"not a readable {self.name} file ({first_line(error)})"
+            raise self.refusal(words, self.remedy) from None
+
+    def read(self) -> None:
+        """Read the file."""
+        raise NotImplementedError
+
+    def events(self) -> list[Event]:
+        """Faults and omissions."""
+        return self.noted + super().events()
 
     def refusal(
         self, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
     ) -> DataError:
         """The error of the file: :func:`refusal`."""
         return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
-
-    def no_column(self, name: str, present: Iterable[str]) -> DataError:
-        """The error for a column that is not in the file."""
-        return no_column(self.path, name, present)
 
     def check_unpacked(self, size: int) -> None:
         """Refuse a part of the file that unpacks to too much [bytes]."""
@@ -350,47 +376,30 @@ class Wanted:
             raise self.refusal(words, f"name a column of a matrix as '{plain}(:,1)'", name)
         return flat
 
-    def table(
-        self,
-        column: Callable[[str], NDArray],
-        units: Mapping[str, str],
-        rows: NDArray[np.int64] | None = None,
-        events: Iterable[Event] = (),
-        empty_cells: bool = False,
-    ) -> TableStream:
-        """The columns as a table; ``column`` reads one. With ``empty_cells`` nan is a missing value.
+    def take(self, column: Callable[[str], NDArray], units: Mapping[str, str]) -> None:
+        """Read the columns; ``column`` reads one.
 
         Raises
         ------
         DataError
             If a number column holds something else (text, complex numbers, objects), lengths differ, or there are no rows.
         """
-        arrays = {}
-        for name in dict.fromkeys(self.numeric):
+        columns = {}
+        for name in self.wanted:
             values = column(name)
-            if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+            if name not in self.numeric:
+                values = np.array([label_text(value) for value in values.tolist()], object)
+            elif values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
                 words = f"column '{name}' holds {values.dtype.name}, not numbers"
                 raise self.refusal(words, REMEDIES[1], name)
-            arrays[name] = number_column(values.astype(values.dtype.newbyteorder("=")), empty_cells)
-        if self.label is not None and self.label not in arrays:
-            arrays[self.label] = text_column([label_text(value) for value in column(self.label).tolist()])
-        first, count = next((name, len(values)) for name, values in arrays.items())
-        for name, values in arrays.items():
-            if len(values) != count:
-                words = f"column '{name}' has {len(values)} rows, column '{first}' has {count}"
+            columns[name] = Column(
+                values.astype(values.dtype.newbyteorder("="), copy=False), units.get(name, "")
+            )
+        first, count = self.wanted[0], columns[self.wanted[0]].values.size
+        for name, (values, *_) in columns.items():
+            if values.size != count:
+                words = f"column '{name}' has {values.size} rows, column '{first}' has {count}"
                 raise self.refusal(words, "export columns that were sampled together", name, first)
         if count == 0:
             raise self.refusal("no data row", "check that the logger wrote data")
-        return TableStream(
-            self.path, _table_of(arrays, units), self.numeric, self.label, rows=rows, noted=events
-        )
-
-
-def _table_of(arrays: Mapping[str, Any], units: Mapping[str, str]) -> Any:
-    """Arrow arrays as a table with the unit of each column."""
-    import pyarrow as pa
-
-    fields = [
-        pa.field(name, array.type, metadata={"unit": units.get(name, "")}) for name, array in arrays.items()
-    ]
-    return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields))
+        TableStream.__init__(self, self.path, arrow_table(columns), self.numeric, self.label)

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from piga.errors import CalibrationError, DataError, Where
-from piga.formats.columns import CHUNK_ROWS, FileChunk, RecordStream
+from piga.errors import CalibrationError
+from piga.formats.columns import CHUNK_ROWS, RecordStream, refusal
 from piga.records.calibration import Calibration
 from piga.records.limits import first_line, open_regular
 from piga.records.run import Run
+from piga.records.text_files import toml_text
 from piga.results import arrow_table
 
 if TYPE_CHECKING:
@@ -46,14 +48,14 @@ class ParquetStream(RecordStream):
         with _open(path) as source:
             self.take_schema(source.schema_arrow)
             if source.metadata.num_rows == 0:
-                raise DataError(f"{path}: no data row", remedy="check that the logger wrote data")
+                raise refusal(path, "no data row", "check that the logger wrote data")
 
-    def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order."""
+    def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+        """Record batches, and the file rows of each."""
         row = 1
         with _open(self.path, [name for name in self.wanted if name not in self.numeric]) as source:
             for batch in source.iter_batches(CHUNK_ROWS, columns=self.wanted):
-                yield self.chunk(batch, np.arange(row, row + batch.num_rows, dtype=np.int64))
+                yield batch, np.arange(row, row + batch.num_rows)
                 row += batch.num_rows
 
 
@@ -75,11 +77,8 @@ def _open(path: Path, labels: Sequence[str] = ()) -> Iterator[Any]:
         ):
             yield source
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise DataError(
-            f"{path}: not a readable Parquet file ({first_line(error)})",
-            remedy="the file is damaged or was altered: export it again",
-            where=Where(path),
-        ) from None
+        words = f"not a readable Parquet file ({first_line(error)})"
+        raise refusal(path, words, "the file is damaged or was altered: export it again") from None
 
 
 # -- out -----------------------------------------------------------------------------------------------
@@ -97,40 +96,36 @@ def write_run_parquet(run: Run, path: Path) -> None:
         "input_sha256": json.dumps(run.input_sha256),
         "quality": json.dumps(msgspec.to_builtins(run.quality)),
     }
-    schema = arrow_table(run.table_columns(slice(0, 0)), metadata).schema
-    with _parquet_writer(path, schema) as out:
-        for start in range(0, run.size, GROUP_ROWS):
-            out.write_table(arrow_table(run.table_columns(slice(start, start + GROUP_ROWS)), metadata))
+    _write(arrow_table(run.table_columns(), metadata), path)
 
 
-def _parquet_writer(path: Any, schema: pa.Schema, **options: Any) -> Any:
-    """The ``pyarrow.parquet.ParquetWriter`` of every Parquet file of piga: packed, with a checksum for each page.
+def _write(table: pa.Table, path: Path) -> None:
+    """Write a table, packed, with a checksum for each page.
 
     Only texts repeat few values: a dictionary of measured numbers would take time and space.
     """
     import pyarrow as pa
     from pyarrow import parquet
 
-    texts = [f.name for f in schema if not (pa.types.is_floating(f.type) or pa.types.is_integer(f.type))]
-    settings = {"compression": "zstd", "use_dictionary": texts, "write_page_checksum": True} | options
-    return parquet.ParquetWriter(path, schema, **settings)
+    texts = [f.name for f in table.schema if not (pa.types.is_floating(f.type) or pa.types.is_integer(f.type))]
+    options: dict[str, Any] = {"compression": "zstd", "use_dictionary": texts, "write_page_checksum": True}
+    parquet.write_table(table, path, GROUP_ROWS, **options)
 
 
 def data_table(run: Run, file: str) -> str:
     """The ``[data]`` table of a run file that reads the Parquet back."""
-    unit = "" if run.quantity == "count" else f', unit = "{run.output_unit}"'
-    lines = [
-        "[data]",
-        f"file = {json.dumps(file, ensure_ascii=False)}",
-        'time = { column = "t", unit = "s" }',
-        f'output = {{ column = "output", kind = "{run.quantity.replace("count", "counts")}"{unit} }}',
-        'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }',
-    ]
-    if run.base_rate is not None:
-        lines.append('base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }')
-    if run.temperature is not None:
-        lines.append('temperature = { column = "temperature", unit = "K" }')
-    return "\n".join([*lines, 'segment = "segment"'])
+    output = {"column": "output", "kind": run.quantity.replace("count", "counts")}
+    data = {
+        "file": file,
+        "time": {"column": "t", "unit": "s"},
+        "output": output if run.quantity == "count" else output | {"unit": run.output_unit},
+        "reference": {"columns": ["fx", "fy", "fz"], "unit": "m/s^2"},
+        "base_rate": {"columns": ["wx", "wy", "wz"], "unit": "rad/s"},
+        "temperature": {"column": "temperature", "unit": "K"},
+        "segment": "segment",
+    }
+    without = {name for name in ("base_rate", "temperature") if getattr(run, name) is None}
+    return toml_text({"data": {key: value for key, value in data.items() if key not in without}}).rstrip("\n")
 
 
 def write_residuals(calibration: Calibration, path: Path) -> None:
@@ -141,15 +136,11 @@ def write_residuals(calibration: Calibration, path: Path) -> None:
     """
     residuals = calibration.residuals
     if residuals is None:
-        raise CalibrationError(
-            "this calibration was read from a file and holds no residuals", remedy="calibrate again"
-        )
+        words = "this calibration was read from a file and holds no residuals"
+        raise CalibrationError(words, remedy="calibrate again")
     columns = residuals.table_columns()
-    labels = [segment.label for segment in calibration.segments]
-    columns["segment"] = columns["segment"]._replace(labels=labels)
+    columns["segment"] = columns["segment"]._replace(labels=[one.label for one in calibration.segments])
     if "run" in columns:
         columns["run"] = columns["run"]._replace(labels=[run.name for run in calibration.runs])
     metadata = {"serial": calibration.serial, "software": calibration.provenance.software}
-    table = arrow_table(columns, metadata)
-    with _parquet_writer(path, table.schema) as out:
-        out.write_table(table)
+    _write(arrow_table(columns, metadata), path)

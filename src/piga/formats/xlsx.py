@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterator
 from contextlib import suppress
 from datetime import datetime, time, timedelta
-from itertools import chain, islice, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from piga.errors import Fix
-from piga.formats.columns import TableStream, Wanted, column_letter
+from piga.formats.columns import Container, column_letter
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -31,12 +30,17 @@ from piga.records.limits import open_regular
 
 _MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
-_FORMULA = re.compile(rb"<f[ />]")
-_HIDDEN = re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\"")
+_NOTED = {
+    "formula": (re.compile(rb"<f[ />]"), "the value last computed is used"),
+    "hidden-row": (re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\""), "used like the others"),
+}
+"""What is counted in all sheets, and what is done with it."""
+_Row = tuple[int, tuple[Any, ...]]
+"""Number and cells of a row."""
 
 
-def read_xlsx(wanted: Wanted) -> TableStream:
-    """Read the named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
+class Xlsx(Container):
+    """The named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
 
     Raises
     ------
@@ -44,124 +48,122 @@ def read_xlsx(wanted: Wanted) -> TableStream:
         If its unpacked size is too large, the sheet is ambiguous, or cells are not numbers. The message names row and
         column letter of up to 100 cells.
     """
-    import openpyxl
 
-    with open_regular(wanted.path) as stream:
-        events = _formulas_and_hidden_rows(wanted, stream)
-        book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
-        rows = enumerate(_sheet(wanted, book).iter_rows(values_only=True), 1)
-        return _read_rows(
-            wanted, ((at, row) for at, row in rows if any(cell is not None for cell in row)), events
-        )
+    name, remedy = "XLSX", "save it again as .xlsx, without a password"
 
+    def read(self) -> None:
+        """Read the sheet."""
+        if self.path.with_name(f"~${self.path.name}").exists():
+            raise self.refusal("is open in a spreadsheet program", "close it there, then try again")
+        import openpyxl
 
-def _formulas_and_hidden_rows(wanted: Wanted, stream: Any) -> list[Event]:
-    """Count the formulas and hidden rows of all sheets. The size that a part declares is never exceeded by :mod:`zipfile`."""
-    formulas, hidden = 0, 0
-    with zipfile.ZipFile(stream) as container:
-        parts = container.infolist()
-        wanted.check_unpacked(sum(part.file_size for part in parts))
-        for part in (one for one in parts if one.filename.startswith("xl/worksheets/")):
-            text = container.read(part)
-            formulas += len(_FORMULA.findall(text))
-            hidden += len(_HIDDEN.findall(text))
-    stream.seek(0)
-    events = []
-    if formulas:
-        events.append(Event("formula", formulas, None, "the value last computed is used"))
-    if hidden:
-        events.append(Event("hidden-row", hidden, None, "used like the others"))
-    return events
+        with open_regular(self.path) as stream:
+            noted = self._noted(stream)
+            book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
+            rows = enumerate(self._sheet(book).iter_rows(values_only=True), 1)
+            self._read_rows([(at, row) for at, row in rows if any(cell is not None for cell in row)])
+        self.noted = noted
 
+    def _noted(self, stream: Any) -> list[Event]:
+        """Formulas and hidden rows. The size that a part declares is never exceeded by :mod:`zipfile`."""
+        with zipfile.ZipFile(stream) as container:
+            parts = container.infolist()
+            self.check_unpacked(sum(part.file_size for part in parts))
+            sheets = [container.read(one) for one in parts if one.filename.startswith("xl/worksheets/")]
+        stream.seek(0)
+        counts = {kind: sum(len(mark.findall(one)) for one in sheets) for kind, (mark, _) in _NOTED.items()}
+        return [Event(kind, count, None, _NOTED[kind][1]) for kind, count in counts.items() if count]
 
-def _sheet(wanted: Wanted, book: Any) -> Any:
-    """The requested sheet, or the only one."""
-    sheets, name = {sheet.title: sheet for sheet in book.worksheets}, wanted.sheet
-    listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
-    fixes = [Fix("data", "sheet", title) for title in sheets]
-    if name is None and len(sheets) > 1:
-        remedy = "add [data] sheet = '...' with one of them"
-        raise wanted.refusal(f"there are {len(sheets)} sheets: {listed}", remedy, fixes=fixes)
-    if not sheets or (name is not None and name not in sheets):
-        words = f"no sheet '{name}'; the sheets are: {listed}"
-        raise wanted.refusal(words, "correct [data] sheet", fixes=fixes)
-    sheet = sheets[name] if name is not None else next(iter(sheets.values()))
-    sheet.reset_dimensions()
-    return sheet
+    def _sheet(self, book: Any) -> Any:
+        """The requested sheet, or the only one."""
+        sheets, name = {sheet.title: sheet for sheet in book.worksheets}, self.sheet
+        listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
+        fixes = [Fix("data", "sheet", title) for title in sheets]
+        if name is None and len(sheets) > 1:
+            remedy = "add [data] sheet = '...' with one of them"
+            raise self.refusal(f"there are {len(sheets)} sheets: {listed}", remedy, fixes=fixes)
+        if not sheets or (name is not None and name not in sheets):
+            words = f"no sheet '{name}'; the sheets are: {listed}"
+            raise self.refusal(words, "correct [data] sheet", fixes=fixes)
+        sheet = sheets[name] if name is not None else next(iter(sheets.values()))
+        sheet.reset_dimensions()
+        return sheet
+
+    def _read_rows(self, rows: list[_Row]) -> None:
+        """The columns of the rows of a sheet. Bad cells are collected and reported together."""
+        if not rows:
+            raise self.refusal("the sheet is empty", "check [data] sheet")
+        place, header = self._header(rows[:_MOST_HEAD])
+        at, row = rows[place]
+        if all(not isinstance(cell, str) for cell in row if cell is not None):
+            remedy = "add a row with the column names above the numbers"
+            raise self.refusal("the first row holds numbers, not column names", remedy, row=at)
+        names, units = units_in_names(single_names(header))
+        check_present(self.path, at, self.wanted, names)
+        following = [[*_texts(row)] for _, row in rows[place + 1 : place + 3]]
+        body = rows[place + 1 :]
+        if following and is_units_row(following[0], *following[1:]):
+            written = zip(names, map(unit_text, following[0]), strict=False)
+            units, body = (
+                units | {name: unit for name, unit in written if name and unit not in NO_UNIT},
+                body[1:],
+            )
+        columns = self._cells(body, {name: names.index(name) for name in self.wanted})
+        if not body:
+            raise self.refusal("a header but no data", "check that the logger wrote data")
+        self.take(columns.__getitem__, units)
+        self.rows = np.array([number for number, _ in body])
+        for name in self.numeric:  # an empty cell is a missing value
+            empty = np.flatnonzero(np.isnan(columns[name]))
+            if empty.size:
+                self._missing[name] = empty.size, int(self.rows[empty[0]])
+
+    def _cells(self, body: list[_Row], places: dict[str, int]) -> dict[str, Any]:
+        """The cells of the columns at these places; numbers of the number columns."""
+        cells, faults = _Cells({*MISSING, *INFINITE, *self.missing}), Faults()
+        columns: dict[str, list[Any]] = {name: [] for name in places}
+        for number, row in body:
+            for name, place in places.items():
+                value = row[place] if place < len(row) else None
+                value = cells.number(value) if name in self.numeric else value
+                if isinstance(value, Fault):
+                    where = f"row {number}, column '{name}' ({column_letter(place)}): "
+                    faults.add(number, value._replace(words=where + value.words, column=name))
+                columns[name].append(value)
+        if faults.total:
+            remedy = "set the format of these cells to number and enter them again; dates: export seconds"
+            raise faults.error(self.path, remedy)
+        return {
+            name: np.array(cells, float if name in self.numeric else object) for name, cells in columns.items()
+        }
+
+    def _header(self, head: list[_Row]) -> tuple[int, tuple[str, ...]]:
+        """Index of the row of the column names, and the names: the first row, or two rows, that hold all wanted names.
+
+        Else the row that looks most like it.
+        """
+        single = [_texts(row) for _, row in head]
+        double = [joined_names(above, names) for above, names in pairwise(single)]
+        for place, names in (*enumerate(single), *enumerate(double, 1)):
+            if set(self.wanted) <= {*names, *units_in_names(names)[0]}:
+                return place, names
+        words = [sum(isinstance(cell, str) for cell in row) for _, row in head]
+        numbers = [sum(isinstance(cell, (int, float)) for cell in row) for _, row in head]
+        begin = next((k for k, count in enumerate(numbers) if count > 1), 0)
+        wide = [k for k in range(begin) if words[k] > 1 and 2 * words[k] >= max(words[:begin])]
+        if len(wide) > 1 and is_units_row([*single[wide[-1]]], [*single[begin]]):
+            wide.pop()
+        place = wide[-1] if wide else 0
+        names = single[place]
+        each = words[place - 1] == len(single[place - 1]) == len(names)
+        if place - 1 in wide and (len(set(names)) < len(names) or "" in names or each):  # names over two rows
+            return place, double[place - 1]
+        return place, names
 
 
 def _texts(row: tuple[Any, ...]) -> tuple[str, ...]:
     """The cells of a row as text."""
     return tuple("" if cell is None else str(cell).strip() for cell in row)
-
-
-_Row = tuple[int, tuple[Any, ...]]
-"""Number and cells of a row."""
-
-
-def _read_rows(wanted: Wanted, filled: Iterator[_Row], events: list[Event]) -> TableStream:
-    """The columns of the rows of a sheet. Bad cells are collected and reported together."""
-    head = list(islice(filled, _MOST_HEAD))
-    if not head:
-        raise wanted.refusal("the sheet is empty", "check [data] sheet")
-    at, header = _header(wanted, head)
-    if all(not isinstance(cell, str) for cell in dict(head)[at] if cell is not None):
-        remedy = "add a row with the column names above the numbers"
-        raise wanted.refusal("the first row holds numbers, not column names", remedy, row=at)
-    names, units = units_in_names(single_names(header))
-    check_present(wanted.path, at, wanted.names, names)
-    body = [entry for entry in head if entry[0] > at]
-    if body and is_units_row([*_texts(body[0][1])], [*_texts(body[1][1])] if len(body) > 1 else None):
-        written = zip(names, _texts(body.pop(0)[1]), strict=False)
-        units |= {name: unit_text(cell) for name, cell in written if name and unit_text(cell) not in NO_UNIT}
-    cells, faults = _Cells({*MISSING, *INFINITE, *wanted.missing}), Faults()
-    numbers: list[int] = []
-    places = {name: names.index(name) for name in wanted.names}
-    columns: dict[str, list[Any]] = {name: [] for name in places}
-    for number, row in chain(body, filled):
-        numbers.append(number)
-        for name, values in columns.items():
-            place = places[name]
-            value = row[place] if place < len(row) else None
-            if name in wanted.numeric:
-                value = cells.number(value)
-                if isinstance(value, Fault):
-                    where = f"row {number}, column '{name}' ({column_letter(place)}): "
-                    faults.add(number, value._replace(words=where + value.words, column=name))
-            values.append(value)
-    if faults.total:
-        remedy = "set the format of these cells to number and enter them again; dates: export seconds"
-        raise faults.error(wanted.path, remedy)
-    if not numbers:
-        raise wanted.refusal("a header but no data", "check that the logger wrote data")
-    kinds = {name: float if name in wanted.numeric else object for name in columns}
-    return wanted.table(
-        lambda name: np.array(columns[name], kinds[name]), units, np.array(numbers), events, empty_cells=True
-    )
-
-
-def _header(wanted: Wanted, head: list[_Row]) -> tuple[int, tuple[str, ...]]:
-    """Row of the column names, and the names: the first row, or two rows, that hold all wanted names.
-
-    Else the row that looks most like it.
-    """
-    single = [(at, _texts(row)) for at, row in head]
-    double = [(at, joined_names(above, names)) for (_, above), (at, names) in pairwise(single)]
-    for at, names in (*single, *double):
-        if set(wanted.names) <= {*names, *units_in_names(names)[0]}:
-            return at, names
-    words = [sum(isinstance(cell, str) for cell in row) for _, row in head]
-    numbers = [sum(isinstance(cell, (int, float)) for cell in row) for _, row in head]
-    begin = next((k for k, count in enumerate(numbers) if count > 1), 0)
-    wide = [k for k in range(begin) if words[k] > 1 and 2 * words[k] >= max(words[:begin])]
-    if wide and len(wide) > 1 and is_units_row([*_texts(head[wide[-1]][1])], [*_texts(head[begin][1])]):
-        wide.pop()
-    place = wide[-1] if wide else 0
-    names = single[place][1]
-    each = words[place - 1] == len(single[place - 1][1]) == len(names)
-    if place - 1 in wide and (len(set(names)) < len(names) or "" in names or each):  # names over two rows
-        return double[place - 1]
-    return single[place]
 
 
 class _Cells:

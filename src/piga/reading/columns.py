@@ -102,10 +102,10 @@ def columns_stream(
         from piga.formats.parquet import ParquetStream
 
         return ParquetStream(path, numeric, segment)
-    from piga.formats.container import CONTAINERS, read_container
+    from piga.formats.container import CONTAINERS
 
     if kind in CONTAINERS:
-        return read_container(path, kind, numeric, segment, sheet, missing)
+        return CONTAINERS[kind](path, numeric, segment, sheet, missing)
     spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
     raise DataError(
         f"{path}: piga does not read files of kind '{kind}'",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream, column_letter, refusal
+from piga.formats.columns import RecordStream, column_letter, refusal
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -95,12 +95,15 @@ class TextStream(RecordStream):
         self._row = self._form.skip + 1
         self._read, self._last_filled = 0, self._form.skip
 
-    def chunks(self) -> Iterator[FileChunk]:
-        """The rows in order. A damaged file gives the rows before the first damage, then the error that lists the faults."""
+    def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+        """Record batches, and the file rows of each.
+
+        A damaged file gives the rows before the first damage, then the error that lists the faults.
+        """
         for raw in self._pieces():
             for table, rows in self._tables(raw):
                 if self._mask or not self._faults.total:
-                    yield from self._chunks_of(table, rows)
+                    yield from self._batches_of(table, rows)
                 elif self._faults.total > MAX_LISTED:
                     raise self._refused()
         if self._faults.total and not self._mask:
@@ -136,12 +139,12 @@ class TextStream(RecordStream):
             yield whole or self._parsed(part) or self._examined(part)
             self._row += part.count(b"\n")
 
-    def _chunks_of(self, table: Any, rows: NDArray[np.int64]) -> Iterator[FileChunk]:
+    def _batches_of(self, table: Any, rows: NDArray[np.int64]) -> Iterator[tuple[Any, NDArray[np.int64]]]:
         if rows.size:
             self._read, self._last_filled = self._read + rows.size, int(rows[-1])
         start = 0
         for batch in table.to_batches():
-            yield self.chunk(batch, rows[start : start + batch.num_rows])
+            yield batch, rows[start : start + batch.num_rows]
             start += batch.num_rows
 
     def _parsed(self, raw: bytes) -> tuple[Any, NDArray[np.int64]] | None:
