@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from piga.reading.checks import integrated_rate
+from piga.records.arrays import integrated_rate
 
 
 @pytest.mark.parametrize("start", [0.0, 0.7, 2.0])

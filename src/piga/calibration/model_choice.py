@@ -31,7 +31,7 @@ from piga.calibration.summary import RunSummary, bare_summary, prepare
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.reading.checks import largest_size
+from piga.records.arrays import largest_size
 from piga.records.calibration import Coefficient
 from piga.records.run import Run
 from piga.records.terms import (

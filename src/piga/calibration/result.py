@@ -59,7 +59,7 @@ from piga.calibration.summary import LiveRun, provenance, residual_figures, vali
 from piga.calibration.uncertainty import Budget, budget_of, make_budget, sources_of_stand, stated_scatter
 from piga.errors import DataError, IdentifiabilityError
 from piga.progress import Steps
-from piga.reading.checks import largest_size
+from piga.records.arrays import largest_size
 from piga.records.calibration import (
     BudgetEntry,
     BudgetTable,

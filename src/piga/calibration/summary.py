@@ -30,7 +30,7 @@ from piga.calibration.uncertainty import stated_scatter
 from piga.calibration.weights import RATE, Noise, reduce_positions
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results
-from piga.reading.checks import largest_size
+from piga.records.arrays import largest_size
 from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary, StandSource
 from piga.records.limits import read_whole
 from piga.records.run import Run

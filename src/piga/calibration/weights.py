@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design, joined_rows
 from piga.calibration.model.reduction import Reduction, triangle
-from piga.reading.checks import largest_size
-from piga.records.arrays import empty, spans, zeros
+from piga.records.arrays import empty, largest_size, spans, zeros
 from piga.records.run import Run
 from piga.results import Array
 

@@ -17,8 +17,8 @@ from piga.compensation.result import Compensated, CompensatedSet, Inputs, inputs
 from piga.compensation.set_compensator import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
-from piga.reading.checks import integrated_rate
 from piga.records import read_toml
+from piga.records.arrays import integrated_rate
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run

@@ -21,16 +21,16 @@ from piga.output import check_results
 from piga.reading.checks import (
     OutputScale,
     find_positions,
-    largest_size,
     leave_out_ranges,
     leave_out_settling,
     note_doubtful,
+    note_norm,
     note_sequence,
     note_stuck,
     unwrapped,
 )
 from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
-from piga.records.arrays import empty, norms, scaled, stored
+from piga.records.arrays import empty, largest_size, norms, scaled, stored
 from piga.records.calibration import Event, Quality
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
@@ -130,7 +130,9 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
     if gyro and data.output.kind != "rate":
         fold = math.inf if scale.span is None else abs(scale.span * scale.factor)
         _mark_lost_counts(raw, t, output, base, lost, fold)
-    note_doubtful(raw, data, t, output, f, base, scale_factor, scale)
+    if data.reference is not None:
+        note_norm(raw, f)
+    note_doubtful(raw, data.output.kind == "rate", t, output, f, base, scale_factor, scale)
     segment, labels, groups = _split_lost(raw, lost)
     return Run(
         serial=instrument.serial,

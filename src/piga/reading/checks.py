@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, Where
 from piga.reading.columns import RawColumns
-from piga.records.arrays import changes, norms, scaled, stored
+from piga.records.arrays import changes, largest_size, norms, scaled, stored
 from piga.records.calibration import Event
 from piga.records.run import TimeBase
-from piga.records.run_file import DataTable, LeftOutTable
+from piga.records.run_file import LeftOutTable
 from piga.results import Array
 from piga.units import G0, UNIT_FACTORS
 
@@ -28,11 +28,6 @@ _RESTING = 2.0
 """Steps that a run of equal extreme values may hide because of rounding (own choice)."""
 SAMPLED = 1 << 17
 """Rows of a long record that are examined for wrong units (own choice)."""
-
-
-def largest_size(values: Array) -> float:
-    """Largest absolute value; nan if a value is nan."""
-    return float(np.maximum(values.max(), -values.min()))
 
 
 def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
@@ -57,11 +52,9 @@ def leave_out_ranges(raw: RawColumns, wanted: Sequence[LeftOutTable]) -> None:
         low, high = entry.rows
         inside = (raw.rows >= low) & (raw.rows <= high)
         if not inside.any():
-            raise DataError(
-                f"{raw.path}: [data] leave_out: the file has no rows {low} to {high}",
-                remedy=f"give the first and the last row to leave out, from {raw.rows[0]} to {raw.rows[-1]}",
-                where=Where(raw.path, low),
-            )
+            words = f"[data] leave_out: the file has no rows {low} to {high}"
+            remedy = f"give the first and the last row to leave out, from {raw.rows[0]} to {raw.rows[-1]}"
+            raise DataError(f"{raw.path}: {words}", remedy=remedy, where=Where(raw.path, low))
         raw.leave_out("left-out", inside, f"rows {low} to {high} are not used: {entry.reason}")
 
 
@@ -90,23 +83,17 @@ def _hidden_steps(values: Array, segment: NDArray[np.int32], start: int, length:
     A parabola that has fallen by ``s`` at the distance ``d`` from a run of half width ``w`` has its top
     ``s / ((1 + d/w)^2 - 1)`` above the run. Rounding alone hides one step at most. Another segment has another speed.
     """
-    last = start + length - 1
-    before, after = values[max(start - length, 0) : start][::-1], values[last + 1 : last + 1 + length]
-    same = (
-        segment[max(start - length, 0) : start][::-1] == segment[start],
-        segment[last + 1 : last + 1 + length] == segment[last],
-    )
-    sides = [
-        side[np.logical_and.accumulate(inside)] for side, inside in zip((before, after), same, strict=True)
-    ]
-    moves = np.abs(np.concatenate([np.diff(side, prepend=values[start]) for side in sides]))
-    step = float(np.min(moves, where=moves > 0.0, initial=np.inf))
-    tops = [0.0]
-    for side in sides:
-        far = np.arange(side.size // 2, side.size)
-        fallen = np.abs(side[far] - values[start]) / ((1.0 + 2.0 * (far + 1) / length) ** 2 - 1.0)
+    moves, tops = [], [0.0]
+    for edge, way in ((start, -1), (start + length - 1, 1)):
+        at = edge + way * np.arange(length + 1)
+        at = at[(at >= 0) & (at < values.size)]
+        side = values[at[np.logical_and.accumulate(segment[at] == segment[edge])]]
+        moves.append(np.abs(np.diff(side)))
+        far = np.arange((side.size - 1) // 2 + 1, side.size)
+        fallen = np.abs(side[far] - values[start]) / ((1.0 + 2.0 * far / length) ** 2 - 1.0)
         tops.append(float(np.nanmax(fallen, initial=0.0)))
-    return max(tops) / step
+    sizes = np.concatenate(moves)
+    return max(tops) / float(np.min(sizes, where=sizes > 0.0, initial=np.inf))
 
 
 def note_sequence(raw: RawColumns, number: Array, wraps_at: int | None, begins: NDArray[np.bool_]) -> None:
@@ -140,30 +127,22 @@ class OutputScale:
 
 
 def note_doubtful(
-    raw: RawColumns,
-    data: DataTable,
-    t: Array,
-    output: Array,
-    f: Array,
-    base: TimeBase,
-    K: float,
-    scale: OutputScale,
+    raw: RawColumns, rate: bool, t: Array, output: Array, f: Array, base: TimeBase, K: float, scale: OutputScale
 ) -> None:
     """Report units that are probably wrong and an output that does not turn. Nothing is changed. ``K``: nominal scale factor."""
-    some = np.arange(0, t.size, max(1, -(-t.size // SAMPLED)))
-    if data.reference is not None:
-        _note_norm(raw, norms(f[some]))
-    if data.output.kind == "rate":
-        _note_rate(raw, K * f[some, 0], output[some], t.size, scale)
+    at = np.arange(0, t.size, max(1, -(-t.size // SAMPLED)))
+    if rate:
+        _note_rate(raw, K * f[at, 0], output[at], t.size, scale)
         return
-    at = some[~base.begins[some]]
-    rate = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
-    _note_rate(raw, K * f[at, 0], rate, t.size - int(np.count_nonzero(base.begins)), scale)
+    at = at[~base.begins[at]]
+    slope = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
+    _note_rate(raw, K * f[at, 0], slope, t.size - int(np.count_nonzero(base.begins)), scale)
     _note_stopped(raw, output, t, base.begins, f[:, 0], K / (scale.factor if scale.counts else 1e-3))
 
 
-def _note_norm(raw: RawColumns, norm: Array) -> None:
-    """Report a static reference whose norm is g times a factor between units."""
+def note_norm(raw: RawColumns, f: Array) -> None:
+    """Report a static reference (n, 3) whose norm is g times a factor between units."""
+    norm = norms(f[:: max(1, -(-len(f) // SAMPLED))])
     typical = float(np.median(norm))
     if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
         return
@@ -201,18 +180,15 @@ def _note_stopped(
 
     ``a_x`` (n,) is the reference along X0 [m/s^2], ``per_step`` the output units per (m/s^2) and second.
     """
-    still = np.zeros(t.size, np.bool_)
-    still[1:] = (output[1:] == output[:-1]) & ~begins[1:]
-    still &= np.abs(a_x) > 0.05 * largest_size(a_x)
+    still = (np.diff(output, prepend=np.nan) == 0.0) & ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
     start, length = _longest_run(still)
     if length < _STUCK:
         return
     run = slice(start, start + length)
-    expected = abs(per_step) * float(np.abs(a_x[run]) @ (t[run] - t[start - 1 : start + length - 1]))
+    expected = abs(per_step) * float(np.abs(a_x[run]) @ np.diff(t[start - 1 : start + length]))
     if expected >= 10.0:
         detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
-        count = int(np.count_nonzero(still))
-        raw.events.append(Event("stopped-output", count, int(raw.rows[start]), detail))
+        raw.events.append(Event("stopped-output", int(np.count_nonzero(still)), int(raw.rows[start]), detail))
 
 
 def unwrapped(
@@ -230,8 +206,7 @@ def unwrapped(
         If the reading is not a whole number, is outside its range, is too fast to unwrap, jumps, or was reset.
     """
     values, begins, span = raw.numbers[name], base.begins, scale.span
-    reading = _Reading(raw, name, values, begins, scale, largest)
-    lost = np.zeros(values.size, np.bool_)
+    reading, lost = _Reading(raw, name, begins, scale, largest), np.zeros(values.size, np.bool_)
     if scale.counts:
         reading.check_counts()
     if span is None:
@@ -264,19 +239,21 @@ class _Reading:
 
     raw: RawColumns
     name: str
-    values: Array
     begins: NDArray[np.bool_]
     scale: OutputScale
     largest: float
+
+    @property
+    def values(self) -> Array:
+        return self.raw.numbers[self.name]
 
     def _refusal(self, at: int | None, words: str, remedy: str, key: str = "") -> DataError:
         return self.raw.refusal(f"column '{self.name}': {words}", remedy, self.name, at=at, key=key)
 
     def check_counts(self) -> None:
-        bad = self.values != np.rint(self.values)
-        bad |= np.abs(self.values) >= 2.0**53
-        if bad.any():
-            at = int(np.argmax(bad))
+        bad = (self.values != np.rint(self.values)) | (np.abs(self.values) >= 2.0**53)
+        at = int(np.argmax(bad))
+        if bad[at]:
             remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
             raise self._refusal(at, f"{self.values[at]:.15g} is not a whole count", remedy)
 
@@ -302,26 +279,31 @@ class _Reading:
 
     def check_jump(self, psi: Array) -> None:
         """Refuse an output with a jump that only a folded counter or a reset can make."""
-        size, unit = changes(psi), self.scale.unit
-        np.abs(size, out=size)
+        size, unit, largest = np.abs(changes(psi)), self.scale.unit, self.largest
         size[self.begins] = 0.0
         at = int(np.argmax(size))
-        if size[at] > 10.0 * self.largest + 2.0:
+        if size[at] > 10.0 * largest + 2.0:
             raise self._refusal(
                 at,
-                f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {self.largest:.3g} {unit}",
+                f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {largest:.3g} {unit}",
                 "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
                 "if it was reset, start a new segment there; otherwise check scale_factor and the units",
                 "counter_bits",
             )
 
     def check_resets(self, step: Array) -> None:
-        """Refuse a counter that jumped to about zero inside a stretch, by more than it can have moved, and went on from there."""
-        if not self.scale.counts:
-            return
+        """Refuse a counter that jumped to about zero inside a stretch, by more than it can have moved, and went on from there.
+
+        No other step within three samples is a third as large.
+        """
         largest = self.largest / self.scale.factor
         sudden = (np.abs(step) > 1.5 * largest + 10.0) & ~self.begins & (np.abs(self.values) <= largest + 2.0)
-        resets = [at for at in np.flatnonzero(sudden).tolist() if self._stands_out(step, at)]
+        resets = []
+        for at in np.flatnonzero(sudden & self.scale.counts).tolist():
+            window = slice(max(at - 3, 0), at + 4)
+            size = np.sort(np.abs(step[window]) * ~self.begins[window])
+            if size.size > 1 and size[-2] < abs(step[at]) / 3.0:
+                resets.append(at)
         if not resets:
             return
         more = ", ".join(str(self.raw.rows[k]) for k in resets[1:100])
@@ -333,28 +315,6 @@ class _Reading:
             f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits",
             "counter_bits",
         )
-
-    def _stands_out(self, step: Array, k: int) -> bool:
-        """True if no other step within three samples is a third as large."""
-        window = slice(max(k - 3, 0), min(k + 4, step.size))
-        size = np.abs(step[window]) * ~self.begins[window]
-        around = np.delete(size, k - window.start)
-        return bool(around.size and around.max() < size[k - window.start] / 3.0)
-
-
-def integrated_rate(t: Array, rate: Array, begins: NDArray[np.bool_]) -> Array:
-    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps.
-
-    Slopes are one-sided at both ends of a stretch.
-    """
-    step = np.where(begins, 0.0, changes(t))
-    rise = np.where(step > 0.0, changes(rate) / np.where(step > 0.0, step, 1.0), 0.0)
-    next_step, next_rise = np.append(step[1:], 0.0), np.append(rise[1:], 0.0)
-    inner = (step > 0.0) & (next_step > 0.0)
-    weight = np.where(inner, step + next_step, 1.0)
-    slope = np.where(inner, (rise * next_step + next_rise * step) / weight, rise + next_rise)
-    before = np.roll(rate, 1)
-    return stored(np.cumsum(0.5 * step * (rate + before) + step**2 / 12.0 * (np.roll(slope, 1) - slope)))
 
 
 BLOCKS = 4000
@@ -388,19 +348,20 @@ def positions(x: Array) -> list[tuple[int, int]]:
     count = rows.size // width
     means = x[rows[: count * width]].reshape(count, width).mean(axis=1)
     tolerance = _tolerance(means, x[rows])
-    runs = _runs(means, tolerance)
-    still = [(a, b) for a, b in runs if (b - a) * width >= _LEAST_ROWS and not _drifts(means[a:b], tolerance)]
+    still, start, total = [], 0, float(means[0])
+    for k in range(1, count + 1):
+        if k == count or abs(means[k] - total / (k - start)) > tolerance:
+            third = max((k - start) // 3, 1)
+            drift = abs(float(means[k - third : k].mean() - means[start : start + third].mean()))
+            if (k - start) * width >= _LEAST_ROWS and drift <= 0.5 * tolerance:
+                still.append((start, k))
+            start, total = k, 0.0
+        total += float(means[min(k, count - 1)])
     longest = max((b - a for a, b in still), default=0)
     kept = [_trimmed(means, a, b) for a, b in still if b - a >= SHORT * longest]
     if sum(b - a for a, b in kept) < _LEAST_STILL * count:
         return []
     return [(int(rows[a * width]), int(rows[b * width - 1]) + 1) for a, b in kept if b > a]
-
-
-def _drifts(means: Array, tolerance: float) -> bool:
-    """True if the ends of a run differ by more than half the tolerance: it is a part of a slow ramp."""
-    third = max(means.size // 3, 1)
-    return abs(float(means[-third:].mean() - means[:third].mean())) > 0.5 * tolerance
 
 
 def _trimmed(means: Array, start: int, stop: int) -> tuple[int, int]:
@@ -422,30 +383,19 @@ def _tolerance(means: Array, x: Array) -> float:
     return max(NOISE * noise, SAME * float(np.ptp(means)), min(quantum, 0.01 * float(np.ptp(means))))
 
 
-def _runs(means: Array, tolerance: float) -> list[tuple[int, int]]:
-    """Runs of blocks that stay within the tolerance of their own mean."""
-    runs, start, total = [], 0, float(means[0])
-    for k in range(1, means.size):
-        if abs(means[k] - total / (k - start)) > tolerance:
-            runs.append((start, k))
-            start, total = k, 0.0
-        total += float(means[k])
-    return [*runs, (start, means.size)]
-
-
 def find_positions(raw: RawColumns, name: str) -> None:
     """Segments of a record without a column that numbers them: where the stand, whose column is ``name``, stands still."""
     spans = positions(raw.numbers[name])
-    raw.segment = np.full(raw.count, -1, np.int32)
-    for k, (start, stop) in enumerate(spans):
-        raw.segment[start:stop] = k
-    raw.labels = tuple(str(k + 1) for k in range(len(spans)))
     if not spans:
         words = f"column '{name}' nowhere stands still, so it tells no position"
         remedy = (
             "name the column that logs the angle or the speed of the stand, or one that numbers the positions"
         )
         raise raw.refusal(words, remedy, name)
+    raw.segment = np.full(raw.count, -1, np.int32)
+    for k, (start, stop) in enumerate(spans):
+        raw.segment[start:stop] = k
+    raw.labels = tuple(str(k + 1) for k in range(len(spans)))
     detail = f"'{name}' does not stand still: rows between the {len(spans)} positions are not used"
     raw.leave_out("moving", raw.segment < 0, detail)
 

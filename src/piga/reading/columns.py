@@ -46,7 +46,7 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     DataError
         If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
     """
-    path, numeric, segment = folder / data.file, tuple(data.number_columns()), data.label_column
+    path, columns = folder / data.file, (tuple(data.number_columns()), data.label_column)
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
         raise refusal(path, "[data] sheet is for .xlsx files", "leave it out")
@@ -55,8 +55,7 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
 
         return columns_stream(
             path,
-            numeric,
-            segment,
+            *columns,
             separator=data.delimiter,
             decimal=data.decimal,
             encoding=data.encoding,
@@ -72,7 +71,7 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     if stamp is not None:
         remedy = "give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not"
         raise refusal(path, "[data] time: stamp is for text files", remedy)
-    return columns_stream(path, numeric, segment, data.sheet, data.missing)
+    return columns_stream(path, *columns, data.sheet, data.missing)
 
 
 def columns_stream(
@@ -106,21 +105,16 @@ def columns_stream(
 
     if kind in CONTAINERS:
         return CONTAINERS[kind](path, numeric, segment, sheet, missing)
-    spreadsheet = kind in (".xls", ".xlsm", ".xlsb", ".ods")
-    raise DataError(
-        f"{path}: piga does not read files of kind '{kind}'",
-        remedy="open it in the spreadsheet program and save it as .xlsx or .csv"
-        if spreadsheet
-        else f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}",
-    )
+    remedy = f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}"
+    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
+        remedy = "open it in the spreadsheet program and save it as .xlsx or .csv"
+    raise DataError(f"{path}: piga does not read files of kind '{kind}'", remedy=remedy)
 
 
 def file_kind(path: Path) -> str:
     """The ending that identifies the format of a file; ``.gz`` is skipped."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    if suffixes[-1:] == [".gz"] and len(suffixes) > 1:
-        return suffixes[-2]
-    return (suffixes[-1:] or [""])[0]
+    suffixes = ["", *(suffix.lower() for suffix in path.suffixes)]
+    return suffixes[-2] if suffixes[-1] == ".gz" and len(suffixes) > 2 else suffixes[-1]
 
 
 _MAX_SIDECAR = 1 << 16
@@ -200,14 +194,10 @@ class RawColumns:
 
     def unit(self, column: str, declared: str) -> str:
         """The declared unit, checked against the unit in the data file, if that has one."""
-        logged = self.units.get(column)
-        if logged is not None:
-            in_file, wanted = parse_unit(logged), parse_unit(declared)
-            if in_file.dimension != wanted.dimension or in_file.factor != wanted.factor:
-                words = (
-                    f"column '{column}' has the unit '{logged}' in the file, but '{declared}' in the run file"
-                )
-                raise self.refusal(words, "correct the one that is wrong", column)
+        in_file, wanted = parse_unit(self.units.get(column, declared)), parse_unit(declared)
+        if (in_file.dimension, in_file.factor) != (wanted.dimension, wanted.factor):
+            words = f"column '{column}' has the unit '{self.units[column]}' in the file, but '{declared}' in the run file"
+            raise self.refusal(words, "correct the one that is wrong", column)
         return declared
 
     def si(self, column: str, factor: float, offset: float = 0.0) -> Array:
@@ -287,10 +277,10 @@ def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
     if len(labels) > MAX_SEGMENTS:
         words = f"column '{column}' has more than {MAX_SEGMENTS} different segments"
         raise refusal(path, words, "name the column that numbers the positions", column)
-    long = next((label for label in labels if len(label) > MOST_NAME_LETTERS), None)
-    if long is not None:
-        words = f"column '{column}': the label '{long[:40]}...' has {len(long)} characters"
-        raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
+    for label in labels:
+        if len(label) > MOST_NAME_LETTERS:
+            words = f"column '{column}': the label '{label[:40]}...' has {len(label)} characters"
+            raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
@@ -300,11 +290,8 @@ def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
     if bad.any():
         at = int(np.argmax(bad))
         row = int(chunk.rows[at])
-        raise DataError(
-            f"{path}: row {row}, column '{name}': {chunk.numbers[name][at]:g} is too large to compute with",
-            remedy="correct it in the file",
-            where=Where(path, row, (name,)),
-        )
+        words = f"row {row}, column '{name}': {chunk.numbers[name][at]:g} is too large to compute with"
+        raise DataError(f"{path}: {words}", remedy="correct it in the file", where=Where(path, row, (name,)))
 
 
 @contextmanager
@@ -330,12 +317,9 @@ def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
 
 def stand_files(table: Any) -> list[str]:
     """Names of all files in a ``[stand]`` table and its inner tables, as written."""
-    if isinstance(table, dict):
-        named = [value for key, value in table.items() if key == "file" and isinstance(value, str)]
-        return list(dict.fromkeys(named + [name for value in table.values() for name in stand_files(value)]))
-    if isinstance(table, list):
-        return list(dict.fromkeys(name for value in table for name in stand_files(value)))
-    return []
+    inner = table.values() if isinstance(table, dict) else table if isinstance(table, list) else ()
+    named = [table["file"]] if isinstance(table, dict) and isinstance(table.get("file"), str) else []
+    return list(dict.fromkeys(named + [name for value in inner for name in stand_files(value)]))
 
 
 def file_digest(path: Path) -> str:

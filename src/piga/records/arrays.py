@@ -90,6 +90,28 @@ def scaled(values: NDArray[Any], factor: float, offset: float = 0.0) -> NDArray[
     return made if offset == 0.0 else np.add(made, offset, out=made)
 
 
+def integrated_rate(
+    t: NDArray[np.float64], rate: NDArray[np.float64], begins: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps.
+
+    Slopes are one-sided at both ends of a stretch.
+    """
+    step = np.where(begins, 0.0, changes(t))
+    rise = np.where(step > 0.0, changes(rate) / np.where(step > 0.0, step, 1.0), 0.0)
+    next_step, next_rise = np.append(step[1:], 0.0), np.append(rise[1:], 0.0)
+    inner = (step > 0.0) & (next_step > 0.0)
+    weight = np.where(inner, step + next_step, 1.0)
+    slope = np.where(inner, (rise * next_step + next_rise * step) / weight, rise + next_rise)
+    before = np.roll(rate, 1)
+    return stored(np.cumsum(0.5 * step * (rate + before) + step**2 / 12.0 * (np.roll(slope, 1) - slope)))
+
+
+def largest_size(values: NDArray[Any]) -> float:
+    """Largest absolute value; nan if a value is nan."""
+    return float(np.maximum(values.max(), -values.min()))
+
+
 def norms(f: NDArray[Any]) -> NDArray[np.float64]:
     """Norms (n,) of vectors (n, 3)."""
     return np.sqrt(np.einsum("ij,ij->i", f, f))

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piga.errors import ArgumentError, CalibrationError
-from piga.reading.checks import integrated_rate
-from piga.records.arrays import changes, middles, norms, stored
+from piga.records.arrays import changes, integrated_rate, middles, norms, stored
 from piga.records.run import Run
 from piga.records.run_file import METHODS, PHASE_SOURCES, PHASES
 from piga.records.terms import SERVO_TERMS, check_terms, harmonic, integral_unit, level_in, term_names
