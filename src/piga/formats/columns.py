@@ -179,10 +179,15 @@ class TableStream(RecordStream):
 
     def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
         """Record batches, and the file rows of each."""
-        start = 0
-        for batch in self.table.select(self.wanted).to_batches(max_chunksize=CHUNK_ROWS):
-            yield batch, self.rows[start : start + batch.num_rows]
-            start += batch.num_rows
+        return with_rows(self.table.select(self.wanted).to_batches(max_chunksize=CHUNK_ROWS), self.rows)
+
+
+def with_rows(batches: Iterable[Any], rows: NDArray[np.int64]) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+    """Record batches, and the file rows of each; ``rows`` are those of all."""
+    start = 0
+    for batch in batches:
+        yield batch, rows[start : start + batch.num_rows]
+        start += batch.num_rows
 
 
 def is_time(kind: Any) -> bool:
@@ -240,19 +245,17 @@ def no_column(
     present: Iterable[str],
     row: int | None = None,
     remedy: str = REMEDIES[0],
+    fixes: Sequence[Fix] = (),
 ) -> DataError:
     """The error for columns that are not in the file. It lists the columns of the file, whose names stand in ``row``."""
     names, missing = tuple(present), (name,) if isinstance(name, str) else tuple(name)
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
     shown = ", ".join(names[:_MOST_LISTED]) + more
     listed = ", ".join(f"'{one}'" for one in missing)
+    words = f"no column {listed}; the columns are: {shown or 'none'}"
     place = "" if row is None else f"row {row}: "
-    return DataError(
-        f"{path}: {place}no column {listed}; the columns are: {shown or 'none'}",
-        remedy=remedy,
-        where=Where(path, row, missing),
-        columns=names,
-    )
+    where = Where(path, row, missing)
+    return DataError(f"{path}: {place}{words}", remedy=remedy, where=where, columns=names, fixes=fixes)
 
 
 def refusal(

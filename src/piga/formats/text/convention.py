@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, zip_longest
 from pathlib import Path
 
-from piga.errors import DataError, Fix, UnitError, Where
-from piga.formats.columns import column_letter, no_column, refusal
+from piga.errors import Fix, UnitError
+from piga.formats.columns import REMEDIES, column_letter, no_column, refusal
 from piga.formats.text.time_stamp import TimeStamp, forms_of
 from piga.units import parse_unit
 
@@ -163,11 +163,10 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     at = rows.names
     if isinstance(at, int) and not isinstance(at, bool):
         if at > len(lines) or not lines[at - 1].strip():
-            words, remedy = (
-                "[data] header_row names an empty row",
-                "name the row with the column names, counted from 1",
+            words, fixes = "[data] header_row names an empty row", [Fix("data", "header_row")]
+            raise refusal(
+                path, words, "name the row with the column names, counted from 1", row=at, fixes=fixes
             )
-            raise refusal(path, words, remedy, row=at, fixes=[Fix("data", "header_row")])
         return at - 1
     for index, line in enumerate(lines):
         if index >= rows.skip and line.strip() and not line.lstrip().startswith("#"):
@@ -184,12 +183,10 @@ def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path:
         return None
     if isinstance(rows.units, int) and rows.units is not True:
         if rows.units - 1 not in (index for index, _ in body):
-            raise DataError(
-                f"{path}: [data] units_row {rows.units} is not a row below the column names",
-                remedy="name the row of the units, counted from 1, or false if there is none",
-                where=Where(path, rows.units),
-                fixes=[Fix("data", "units_row", False), Fix("data", "units_row")],
-            )
+            words = f"[data] units_row {rows.units} is not a row below the column names"
+            remedy = "name the row of the units, counted from 1, or false if there is none"
+            fixes = [Fix("data", "units_row", False), Fix("data", "units_row")]
+            raise refusal(path, words, remedy, row=rows.units, fixes=fixes)
         return rows.units - 1
     following = split_line(body[1][1], separator) if len(body) > 1 else None
     return body[0][0] if rows.units or is_units_row(split_line(body[0][1], separator), following) else None
@@ -225,16 +222,23 @@ def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(numbered)
 
 
-def check_present(path: Path, row: int, wanted: Iterable[str], names: tuple[str, ...]) -> None:
+def check_present(
+    path: Path,
+    row: int,
+    wanted: Iterable[str],
+    names: tuple[str, ...],
+    remedy: str = REMEDIES[0],
+    fixes: Sequence[Fix] = (),
+) -> None:
     """Refuse a header in which a wanted name is absent or stands more than once."""
     missing = [name for name in dict.fromkeys(wanted) if name not in names]
     for name in missing:
         same = [one for one in names if re.fullmatch(rf"{re.escape(name)}#\d+", one)]
         if len(same) > 1:
-            remedy = f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}"
-            raise refusal(path, f"duplicate column name '{name}'", remedy, name, row=row)
+            choice = f"name one of them in [data]: {', '.join(repr(one) for one in same[:6])}"
+            raise refusal(path, f"duplicate column name '{name}'", choice, name, row=row)
     if missing:
-        raise no_column(path, missing, [name for name in names if name], row)
+        raise no_column(path, missing, [name for name in names if name], row, remedy, fixes)
 
 
 _NAME_WITH_UNIT = re.compile(r"^(.*\S)\s*[\[(（]\s*([^\])）]+?)\s*[\])）]$")
@@ -280,20 +284,17 @@ def is_units_row(cells: list[str], following: list[str] | None = None) -> bool:
         return False
     bare = [unit_text(cell) for cell in cells]
     below = [cell.strip().strip('"').strip() for cell in following or ()]
-    loose = False
-    for cell in bare:
-        if cell in NO_UNIT[1:] or cell == "1":
-            loose = True
-        elif _NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell) or cell in MISSING[1:]:
-            return False
-    named = [k for k, cell in enumerate(bare) if cell not in (*NO_UNIT, "1") and _is_unit(cell)]
-    if not loose:
+    loose = {*NO_UNIT[1:], "1"}
+    if any(cell not in loose and (_is_number(cell) or cell in MISSING[1:]) for cell in bare):
+        return False
+    named = [k for k, cell in enumerate(bare) if cell not in ("", *loose) and _is_unit(cell)]
+    if not loose & {*bare}:
         return bool(named)
-    return any(
-        k < len(below)
-        and (_NUMBER_POINT.match(below[k]) or _NUMBER_COMMA.match(below[k]) or forms_of([below[k]]))
-        for k in named
-    )
+    return any(k < len(below) and (_is_number(below[k]) or forms_of([below[k]])) for k in named)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER_POINT.match(cell) or _NUMBER_COMMA.match(cell))
 
 
 def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, path: Path, row: int) -> str:
@@ -307,17 +308,10 @@ def _decimal_mark(cells: list[list[str]], separator: str, declared: str | None, 
     point = [cell for cell in flat if "." in cell and _NUMBER_POINT.match(cell)]
     marks = [Fix("data", "decimal", ","), Fix("data", "decimal", ".")]
     if comma and point:
-        raise DataError(
-            f"{path}: from row {row}: both '{comma[0]}' and '{point[0]}' occur, the decimal mark is ambiguous",
-            remedy="add [data] decimal = ',' or decimal = '.'",
-            where=Where(path, row),
-            fixes=marks,
-        )
+        words = f"both '{comma[0]}' and '{point[0]}' occur from there on, the decimal mark is ambiguous"
+        raise refusal(path, words, "add [data] decimal = ',' or decimal = '.'", row=row, fixes=marks)
     if comma and all(_THOUSANDS.match(cell) for cell in comma):
-        raise DataError(
-            f"{path}: from row {row}: '{comma[0]}' can be a decimal comma or a thousands separator",
-            remedy="add [data] decimal = ',', or decimal = '.' and remove the thousands separators",
-            where=Where(path, row),
-            fixes=marks[:1],
-        )
+        words = f"'{comma[0]}' can be a decimal comma or a thousands separator"
+        remedy = "add [data] decimal = ',', or decimal = '.' and remove the thousands separators"
+        raise refusal(path, words, remedy, row=row, fixes=marks[:1])
     return "," if comma else "."

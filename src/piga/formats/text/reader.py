@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import RecordStream, column_letter, refusal
+from piga.formats.columns import RecordStream, column_letter, refusal, with_rows
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -103,7 +103,9 @@ class TextStream(RecordStream):
         for raw in self._pieces():
             for table, rows in self._tables(raw):
                 if self._mask or not self._faults.total:
-                    yield from self._batches_of(table, rows)
+                    if rows.size:
+                        self._read, self._last_filled = self._read + rows.size, int(rows[-1])
+                    yield from with_rows(table.to_batches(), rows)
                 elif self._faults.total > MAX_LISTED:
                     raise self._refused()
         if self._faults.total and not self._mask:
@@ -120,7 +122,12 @@ class TextStream(RecordStream):
             words = f"row {self._row} has no line end: it is not used"
             events.append(Event("truncated-last-line", 1, self._row, words))
         events += self._faults.events()
-        blank = self._last_filled - self._form.skip - self._read - self._faults.rows
+        blank = (
+            self._last_filled
+            - self._form.skip
+            - self._read
+            - sum(event.count for event in self._faults.events())
+        )
         if blank > 0:
             events.append(Event("blank-line", blank, None, "skipped"))
         return events + super().events()
@@ -139,14 +146,6 @@ class TextStream(RecordStream):
             yield whole or self._parsed(part) or self._examined(part)
             self._row += part.count(b"\n")
 
-    def _batches_of(self, table: Any, rows: NDArray[np.int64]) -> Iterator[tuple[Any, NDArray[np.int64]]]:
-        if rows.size:
-            self._read, self._last_filled = self._read + rows.size, int(rows[-1])
-        start = 0
-        for batch in table.to_batches():
-            yield batch, rows[start : start + batch.num_rows]
-            start += batch.num_rows
-
     def _parsed(self, raw: bytes) -> tuple[Any, NDArray[np.int64]] | None:
         """The table of some lines as PyArrow reads them. None if a line is damaged or odd."""
         import pyarrow as pa
@@ -155,8 +154,9 @@ class TextStream(RecordStream):
         if b"\0" in raw or raw.count(b"\r") != raw.count(b"\r\n") or (b'"' in raw and _ODD_QUOTES.search(raw)):
             return None
         form = self._form
-        types = {name: pa.string() if name in form.stamps else pa.float64() for name in self.numeric}
-        types |= {} if self.label is None else {self.label: pa.string()}
+        types = {
+            name: pa.string() if name in {*form.stamps, self.label} else pa.float64() for name in self.wanted
+        }
         try:
             table = csv.read_csv(
                 pa.BufferReader(pa.py_buffer(raw)),
@@ -225,16 +225,10 @@ class TextStream(RecordStream):
                 rows.append(row)
                 for name, value in read.items():
                     values[name].append(value)
-        texts = {*form.stamps, self.label}
-        table = pa.table(
-            {
-                name: pa.array(cells, pa.string() if name in texts else pa.float64())
-                for name, cells in values.items()
-            }
-        )
+        kinds = {name: pa.string() if name in {*form.stamps, self.label} else pa.float64() for name in places}
+        table = pa.table({name: pa.array(cells, kinds[name]) for name, cells in values.items()})
         made = self._with_times(table, np.array(rows, dtype=np.int64))
-        if made is None:
-            raise AssertionError("a time stamp was checked, but not read")
+        assert made is not None  # noqa: S101 - each time stamp was checked
         return made
 
     def _refused(self) -> DataError:
@@ -253,24 +247,18 @@ def _parts(raw: bytes) -> Iterator[bytes]:
 
 def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -> None:
     """Refuse a file that lacks a wanted column. A later row that holds all of them is named."""
-    try:
-        check_present(path, form.header, wanted, form.names)
-    except DataError as error:
-        if not error.columns:
-            raise
-        row, fixes = _row_of(wanted, head, form.header), []
-        remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
-        if row is not None:
-            remedy = f"row {row} has these names: add [data] header_row = {row}"
-            fixes = [Fix("data", "header_row", row)]
-        elif not form.encoding.startswith("utf"):
-            remedy += (
-                f"; the file was read as {form.encoding}: add [data] encoding = '...' if the names are misread"
-            )
-            fixes = [Fix("data", "encoding")]
-        raise DataError(
-            error.message, remedy=remedy, where=error.where, columns=error.columns, fixes=fixes
-        ) from None
+    fixes: list[Fix] = []
+    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
+    row = None if set(wanted) <= {*form.names} else _row_of(wanted, head, form.header)
+    if row is not None:
+        remedy = f"row {row} has these names: add [data] header_row = {row}"
+        fixes = [Fix("data", "header_row", row)]
+    elif not form.encoding.startswith("utf"):
+        remedy += (
+            f"; the file was read as {form.encoding}: add [data] encoding = '...' if the names are misread"
+        )
+        fixes = [Fix("data", "encoding")]
+    check_present(path, form.header, wanted, form.names, remedy, fixes)
 
 
 def _row_of(wanted: list[str], head: str, after: int) -> int | None:
@@ -306,17 +294,13 @@ class Fault(NamedTuple):
 class Faults:
     """Faults of a file, added in the order of its rows.
 
-    ``listed`` holds the first ones, ``total`` is the number of all. ``hint`` and ``fixes`` tell what else can be done.
+    ``listed`` holds the first ones, ``total`` is the number of all.
     ``kinds``: number of rows with a fault and the first row, by kind. A row counts once, by its first fault.
     """
 
     listed: list[Fault] = field(default_factory=list)
     total: int = 0
     kinds: dict[str, list[int]] = field(default_factory=dict)
-    columns: dict[str, None] = field(default_factory=dict)
-    hint: str = ""
-    fixes: tuple[Fix, ...] = ()
-    first_row: int | None = None
     last_row: int = 0
 
     def add(self, row: int, fault: Fault) -> None:
@@ -325,32 +309,25 @@ class Faults:
             self.kinds.setdefault(fault.kind, [0, row])[0] += 1
             self.last_row = row
         self.total += 1
-        self.first_row = self.first_row or row
-        self.columns |= {fault.column: None} if fault.column else {}
         if len(self.listed) < MAX_LISTED:
             self.listed.append(fault)
-        if not self.hint:
-            self.hint, self.fixes = fault.hint, fault.fixes
 
     def error(self, path: Path, remedy: str, fixes: Sequence[Fix] = ()) -> DataError:
         """All faults, or the first of many, as one error. ``remedy`` and ``fixes`` are those of any fault."""
         many = self.total > MAX_LISTED
         words = [fault.words for fault in self.listed[: _FIRST_LISTED if many else None]]
+        first = next((fault for fault in self.listed if fault.hint), self.listed[0])
+        columns = dict.fromkeys(fault.column for fault in self.listed if fault.column)
         return DataError(
             f"{path}: {'; '.join([*words, 'and more'] if many else words)}",
-            remedy=f"{remedy}{self.hint}",
-            where=Where(path, self.first_row, tuple(self.columns)),
-            fixes=[*self.fixes, *fixes],
+            remedy=f"{remedy}{first.hint}",
+            where=Where(path, min(row for _, row in self.kinds.values()), tuple(columns)),
+            fixes=[*first.fixes, *fixes],
         )
 
     def events(self) -> list[Event]:
         """Events for the rows left out, by kind."""
         return [Event(kind, count, first, "the row is not used") for kind, (count, first) in self.kinds.items()]
-
-    @property
-    def rows(self) -> int:
-        """Rows with a fault."""
-        return sum(count for count, _ in self.kinds.values())
 
 
 def _cells(row: int, line: bytes, form: TextFormat) -> list[str] | Fault:
