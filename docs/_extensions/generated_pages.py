@@ -110,9 +110,9 @@ def rooms_page() -> str:
     contract = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
     floors = [re.findall(r"\w+", floor) for floor in contract["contracts"][0]["layers"]]
     lead = "A room imports only rooms of the floors below it; the contract is in `pyproject.toml`."
-    rows = ["| floor | room | what it is for |", "|---|---|---|"]
+    rows = ["| room | floor | what it is for |", "|---|---|---|"]
     for number, floor in enumerate(reversed(floors), 1):
-        rows += [f"| {number} | `{room}` | {cell(first_sentence(room)).replace('``', '`')} |" for room in floor]
+        rows += [f"| `{room}` | {number} | {cell(first_sentence(room)).replace('``', '`')} |" for room in floor]
     rows[2:] = reversed(rows[2:])
     return f"# Rooms\n\n{lead}\n\n" + "\n".join(rows) + "\n"
 

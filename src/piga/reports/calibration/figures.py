@@ -22,7 +22,7 @@ from piga.noise.deviations import allan_deviation, drift_line, model_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import GYRO, shown_output, shown_unit
-from piga.reports.calibration.budget import budget_shares, source_in_words
+from piga.reports.calibration.budget import budget_shares
 from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
 from piga.reports.render.envelope import POINTS, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, Series, named_axis
@@ -359,12 +359,12 @@ def budget_figure(cal: Calibration) -> Figure | None:
     roles: tuple[Role, ...] = ("after", "before", "model", "reference", "warning", "muted")
     y = Axis("share of the variance", "%", limits=(-3.0, 103.0))
     plot = Plot(
-        "budget-shares", "Sources of the uncertainty.", named_axis("coefficient", tuple(keys)), y, height=2.7
+        "budget-shares", "Sources of the uncertainty.", named_axis("coefficient", tuple(keys)), y, height=3.2
     )
     for k, (source, role) in enumerate(zip(largest, roles, strict=False)):
         place = number + 0.1 * (k - 0.5 * (len(largest) - 1))
         text = tuple(f"{key}: {share:.3g} %" for key, share in zip(keys, shares[source], strict=True))
-        plot.points(place, shares[source], source_in_words(source), role, text=text)
+        plot.points(place, shares[source], source, role, text=text)
     return plot.caption(
         "Share of each source in the variance of each coefficient; the largest sources are shown. The largest "
         "share is what to improve."
