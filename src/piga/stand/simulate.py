@@ -179,7 +179,7 @@ def simulate_test(
     force: bool = False,
     progress: Progress | None = None,
 ) -> SimulatedTest:
-    """Simulate a test.
+    """Simulate a test of a ``specimen`` (the instrument) on a ``stand``, logged by ``electronics``.
 
     ``imperfections`` are deviations of the stand from its reference. ``vibration`` is the root mean square of the vibration
     along X0 in each segment [m/s^2], in order and again from the first. ``temperature`` is that of the instrument; None:
