@@ -54,7 +54,6 @@ from piga.stand.scenario import (
     DividingHeadTable,
     SimpleStand,
 )
-from piga.stand.write_run import given_values
 
 _COUNTED_RECORDS = 24
 """Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
@@ -453,5 +452,5 @@ def stand_table(request: PlanRequest, visits: tuple[Visit, ...]) -> dict[str, An
     parts = []
     for visit in visits:
         table = msgspec.structs.replace(visit.candidate.table, dwell=f"{visit.dwell!r} s")
-        parts.append(given_values(msgspec.to_builtins(table)))
+        parts.append(msgspec.to_builtins(table))
     return {"kind": "composite", "pause": f"{request.move!r} s", "parts": parts}

@@ -48,7 +48,6 @@ from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
 from piga.results import Array, Plotted, Reported, Result
 from piga.stand.scenario import DividingHeadTable
-from piga.stand.write_run import given_values
 from piga.threads import one_thread
 from piga.units import G0
 from piga.upper import doors
@@ -488,7 +487,7 @@ _TABLES = (
 
 def scenario_text(plan: Plan) -> str:
     """The planned test as a scenario file (TOML)."""
-    whole = given_values(msgspec.to_builtins(plan.request.table))
+    whole = msgspec.to_builtins(plan.request.table)
     whole["model"] = {
         "phases": plan.request.model.phases,
         **whole["model"],

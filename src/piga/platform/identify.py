@@ -174,20 +174,11 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
              iterations: int = 6, progress: Progress | None = None) -> Identification:  # fmt: skip
     """Batch identification by weighted Gauss-Newton least squares on the exact geometry.
 
-    Parameters
-    ----------
-    readouts:
-        The calibration stretch. For ``gimbals`` the base must be at rest.
-    place:
-        Place of the base [rad], [m]. Its gravity gives the first triad attitude.
-    sources:
-        Any of ``gimbals``, ``pick-off``, ``force``.
-    orders:
-        Harmonics of the misalignment over the case turn to identify.
-    iterations:
-        Largest number of steps. The iteration ends earlier if it has converged.
-    progress:
-        Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
+    ``readouts`` are the calibration stretch; for ``gimbals`` the base must be at rest. ``place`` of the base: its gravity
+    gives the first triad attitude. ``sources``: any of ``gimbals``, ``pick-off``, ``force``. ``orders``: harmonics of the
+    misalignment over the case turn to identify. ``iterations``: largest number of steps; the iteration ends earlier if it
+    has converged. ``progress`` is called as ``progress(done, total, what)`` before each step; it returns False to stop
+    (:mod:`piga.progress`).
 
     Raises
     ------
@@ -221,34 +212,32 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
     )
 
 
-def _amplitudes(tips: Array) -> Array:
+def _amplitudes(tips: Array) -> dict[str, float]:
     """Amplitude and phase of the fundamental and of each harmonic, of both gyros, from their unknowns."""
-    gyros = [Tip(part).gyro() for part in np.split(tips, 2)]
-    return np.array(
-        [v for g in gyros for v in (g.misalignment, g.phase, *(n for h in g.harmonics for n in h[1:]))]
-    )
+    values: dict[str, float] = {}
+    for name, vector in zip(("polar", "equatorial"), np.split(tips, 2), strict=True):
+        gyro = Tip(vector).gyro()
+        values |= {f"{name}.misalignment": gyro.misalignment, f"{name}.phase": gyro.phase}
+        for k, amplitude, phase in gyro.harmonics:
+            values |= {f"{name}.harmonic{k}.amplitude": amplitude, f"{name}.harmonic{k}.phase": phase}
+    return values
 
 
 def _parameters(values: Array, covariance: Array, orders: int) -> tuple[Parameter, ...]:
     """Amplitudes and phases with first-order uncertainty (central differences of the exact conversion)."""
-    kinds = ["misalignment", "phase"]
-    kinds += [f"harmonic{k}.{what}" for k in range(1, orders + 1) for what in ("amplitude", "phase")]
-    labels = [f"{gyro}.{kind}" for gyro in ("polar", "equatorial") for kind in kinds]
-    phases, count = np.array([label.endswith("phase") for label in labels]), len(labels)
-    tips, rest, std = values[:count], values[count:], np.sqrt(np.diag(covariance))
-    jacobian = np.empty((count, count))
+    count, std = 4 + 4 * orders, np.sqrt(np.diag(covariance))
+    tips, rest = values[:count], zip(values[count:].tolist(), std[count:].tolist(), strict=True)
+    found = _amplitudes(tips)
+    phases, jacobian = np.array([name.endswith("phase") for name in found]), np.empty((count, count))
     for k, size in enumerate(np.maximum(1e-4 * std[:count], 1e-13)):
         step = size * (np.arange(count) == k)
-        difference = _amplitudes(tips + step) - _amplitudes(tips - step)
-        jacobian[:, k] = np.where(phases, wrapped(difference), difference) / (2.0 * size)
+        ahead, behind = (np.array(list(_amplitudes(at).values())) for at in (tips + step, tips - step))
+        jacobian[:, k] = np.where(phases, wrapped(ahead - behind), ahead - behind) / (2.0 * size)
     stds = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[:count, :count], jacobian))
-    stds = np.append(np.where(phases, np.minimum(stds, UNKNOWN_PHASE), stds), std[count:])
-    numbers = zip(np.append(_amplitudes(tips), rest).tolist(), stds.tolist(), strict=True)
-    names = [*labels, "redundancy.initial", "redundancy.rate"]
-    return tuple(
-        Parameter(name, value, u, "rad/s" if name == "redundancy.rate" else "rad")
-        for name, (value, u) in zip(names, numbers, strict=False)
-    )
+    stds = np.where(phases, np.minimum(stds, UNKNOWN_PHASE), stds)
+    rows = [Parameter(*row, "rad") for row in zip(found, found.values(), stds.tolist(), strict=True)]
+    redundancy = zip((("redundancy.initial", "rad"), ("redundancy.rate", "rad/s")), rest, strict=False)
+    return (*rows, *(Parameter(name, value, u, unit) for (name, unit), (value, u) in redundancy))
 
 
 def _notes(values: Array, covariance: Array) -> tuple[str, ...]:
@@ -257,12 +246,12 @@ def _notes(values: Array, covariance: Array) -> tuple[str, ...]:
     pairs, stds = (v[: len(v) // 4 * 4].reshape(2, -1, 2) for v in (values, np.sqrt(np.diag(covariance))))
     small = np.hypot(pairs[..., 0], pairs[..., 1]) < 3.0 * stds.max(axis=2)
     for gyro, (fundamental, *harmonics) in zip(("polar", "equatorial"), small.tolist(), strict=True):
+        which = ", ".join(str(k) for k, below in enumerate(harmonics, start=1) if below)
         if fundamental:
             notes.append(
                 f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
             )
-        if any(harmonics):
-            which = ", ".join(str(k) for k, below in enumerate(harmonics, start=1) if below)
+        if which:
             notes.append(
                 f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
             )
@@ -322,6 +311,17 @@ def identify_growing(
 
 
 UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
+_OBSERVED = {
+    "gimbals, z only": "z",
+    "redundancy-axis pick-off only": "Y",
+    "gimbals, x and y": "xy",
+    "gimbals, z, with pick-off": "zY",
+    "gimbals, all": "xyz",
+    "gimbals with pick-off": "xyzY",
+    "specific force": "123",
+    "specific force with pick-off": "123Y",
+}
+"""Small angles, pick-off and axes of the specific force that each source observes."""
 _SEPARABLE = 100.0
 """Condition number above which unknowns count as not separable: their uncertainty has grown a hundredfold."""
 
@@ -354,43 +354,27 @@ def observability(readouts: Readouts, identification: Identification) -> tuple[O
     i, turns = identification, (np.eye(3), np.zeros(3), np.eye(3))
     x = Unknowns(Tip.of(i.polar, 0), Tip.of(i.equatorial, 0), i.eta0, i.eta_rate, *turns)
     e, pick = x.regressors(t, *encoders)
-    felt = np.cross(_gravity(readouts)[::every, :, None], e, axis=1)
-    rows = {"x": e[:, 0, :4], "y": e[:, 1, :4], "z": e[:, 2, :4], "Y": pick[:, :4]}
-    rows |= {name: felt[:, k, :4] for k, name in enumerate("123")}
+    # the direction of gravity in the triad: a cone about the Earth's axis
+    angle = earth.EARTH_RATE * readouts.times
+    cone = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    gravity = cone @ np.linalg.lstsq(0.5 * (cone[1:] + cone[:-1]), readouts.increments, rcond=None)[0]
+    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
+    felt = np.cross(gravity[::every, :, None], e, axis=1)
+    table = [*(e[:, k] for k in range(3)), pick, *(felt[:, k] for k in range(3))]
+    rows = dict(zip("xyzY123", (one[:, :4] for one in table), strict=True))
     equal = np.allclose(np.diff(encoders[0][:64]), np.diff(encoders[1][:64]))
-    chosen = {
-        "gimbals, z only": "z",
-        "redundancy-axis pick-off only": "Y",
-        "gimbals, x and y": "xy",
-        "gimbals, z, with pick-off": "zY",
-        "gimbals, all": "xyz",
-        "gimbals with pick-off": "xyzY",
-        "specific force": "123",
-        "specific force with pick-off": "123Y",
-    }
     basis, _ = np.linalg.qr(np.stack([np.ones_like(t), t / t[-1]], axis=1))
     verdicts = []
-    for source, keys in chosen.items():
+    for source, keys in _OBSERVED.items():
         clean = np.concatenate([rows[k] - basis @ (basis.T @ rows[k]) for k in keys])
         _, values, right = np.linalg.svd(clean, full_matrices=False)
         condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
         scatter = right.T / np.where(values > 0.0, values, np.nan) * (np.sqrt(every) * ARCSEC)
         std = np.nan_to_num(np.sqrt(np.sum(scatter**2, axis=1)), nan=np.inf)
-        hidden = right[values < values[0] / _SEPARABLE]
-        separable = condition < _SEPARABLE
+        separable, hidden = condition < _SEPARABLE, right[values < values[0] / _SEPARABLE]
         sentence = "tells both misalignments and both phases" if separable else _mixed(hidden, clean, equal)
         verdicts.append(Observability(source, condition, std, separable, sentence))
     return tuple(verdicts)
-
-
-def _gravity(readouts: Readouts) -> Array:
-    """Direction (n + 1, 3) of gravity in the triad at the nodes: a cone about the Earth's axis."""
-    angle = earth.EARTH_RATE * readouts.times
-    cone = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    fitted, *_ = np.linalg.lstsq(0.5 * (cone[1:] + cone[:-1]), readouts.increments, rcond=None)
-    gravity = cone @ fitted
-    direction: Array = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
-    return direction
 
 
 def _mixed(hidden: Array, clean: Array, equal: bool) -> str:
@@ -406,10 +390,8 @@ def _mixed(hidden: Array, clean: Array, equal: bool) -> str:
 
 def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
     """JSON document of ``piga platform identify``."""
-    document = {
-        name: getattr(identification, name)
-        for name in ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
-    }
+    names = ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
+    document = {name: getattr(identification, name) for name in names}
     document["covariance"] = {
         "names": identification.names,
         "values": identification.values.tolist(),

@@ -65,11 +65,10 @@ class Tip:
 
     def gyro(self) -> Gyro:
         """The gyro with misalignment, phase and harmonics over the case angle."""
-        harmonics = []
-        for k, (a, b) in enumerate(self.vector[2:].reshape(-1, 2), start=1):
-            phase = np.remainder(np.arctan2(-b, a) - k * self.phase, 2.0 * np.pi)
-            harmonics.append(Harmonic(k, float(np.hypot(a, b)), float(phase)))
-        return Gyro(float(np.hypot(*self.vector[:2])), self.phase, tuple(harmonics))
+        pairs = enumerate(self.vector[2:].reshape(-1, 2), start=1)
+        waves = [(k, np.hypot(a, b), np.arctan2(-b, a) - k * self.phase) for k, (a, b) in pairs]
+        harmonics = tuple(Harmonic(k, float(size), float(np.remainder(p, 2.0 * np.pi))) for k, size, p in waves)
+        return Gyro(float(np.hypot(*self.vector[:2])), self.phase, harmonics)
 
     def series(self, encoder: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """``m(c) exp(i c)`` (n,) and its derivatives by the unknowns (n, 2 + 2K)."""
@@ -178,16 +177,13 @@ def _triad_of(first: Array, second: Array) -> Array:
 class ForceFilter:
     """Filtering and thinning of the specific force of a moving base, in turns of the case. The values are own choices."""
 
-    window: int = 10
-    """Length of a Hann window, as a part of a turn. Two are applied in sequence."""
-    rows: int = 20
-    """Rows kept per turn. Lines up to order ten of the case rate stay below the folding frequency."""
-    points: int = 80
-    """Points per turn at which regressors are evaluated. They are smooth, and an accuracy of 1e-3 is enough."""
-    turns: int = 16
-    """Turns in a stretch. Stretches are independent, so the cost is proportional to the length of the record."""
-    fewest: int = 20
-    """Fewest samples per turn of the faster case."""
+    window: int = 10  # length of a Hann window, as a part of a turn; two are applied in sequence
+    rows: int = 20  # kept per turn; lines up to order ten of the case rate stay below the folding frequency
+    points: int = (
+        80  # per turn at which regressors are evaluated: they are smooth, an accuracy of 1e-3 is enough
+    )
+    turns: int = 16  # in a stretch; stretches are independent, so the cost is proportional to the record
+    fewest: int = 20  # samples per turn of the faster case
 
 
 FORCE_FILTER = ForceFilter()
@@ -207,18 +203,13 @@ class _Stretch:
     every: int
     spacing: float
 
-    @property
-    def count(self) -> int:
-        """Number of rows."""
-        return len(range(0, len(self.readouts.increments) + 1 - len(self.window), self.stride))
-
     @cached_property
     def whitening(self) -> Array:
         """Lower triangle (r, r) that whitens the rows of smoothed white noise, to the noise level of the samples."""
-        w = self.window
-        overlap = np.zeros(max(self.count, len(w)))
+        w, count = self.window, len(range(0, len(self.readouts.increments) + 1 - len(self.window), self.stride))
+        overlap = np.zeros(max(count, len(w)))
         overlap[: -(-len(w) // self.stride)] = [w[k:] @ w[: len(w) - k] for k in range(0, len(w), self.stride)]
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(overlap[: self.count]))))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(overlap[:count]))))
 
     @cached_property
     def knots(self) -> Array:
@@ -242,7 +233,8 @@ class _Stretch:
     def _smooth_points(self, values: Array) -> Array:
         """Rows from values at the points only."""
         thin = self.window[self.points[0] :: self.every]
-        return _weighted(values, thin / thin.sum(), self.stride // self.every)[: self.count]
+        rows = _weighted(values, thin / thin.sum(), self.stride // self.every)
+        return rows[: len(self.whitening)]
 
     def rows(self, x: Unknowns) -> tuple[Array, Array]:
         """Whitened residuals (r, 3) [m/s^2] and regressors (r, 3, p) by tips, eta0 and eta_rate, without the slow force.
@@ -254,23 +246,24 @@ class _Stretch:
         half = [halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         force = r.increments / r.step
-        undone = np.einsum("nji,nj->ni", attitude[1::2], force)
+        undone = _weighted(np.einsum("nji,nj->ni", attitude[1::2], force), self.window, self.stride)
         orthonormal, triangle = self.slow
-        smooth = self.whitening @ _weighted(undone, self.window, self.stride)
-        solution = np.linalg.solve(triangle, orthonormal.T @ smooth)
+        solution = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ undone))
         slow = BSpline(self.knots, solution, 3)(np.linspace(0.0, 1.0, len(half[0])))
         felt = np.einsum("nij,nj->ni", attitude, slow)
         predicted = _simpson(felt[::2], felt[1::2])
         points = [v[1::2][self.points] for v in half]
         e, _ = x.regressors(*points)
         columns = np.cross(slow[1::2][self.points][:, :, None], e, axis=1)
-        if r.turn_sensitivity > 0.0:
-            predicted -= _turns(attitude[::2]) * (r.turn_sensitivity / r.step)
+        if r.turn_sensitivity > 0.0:  # the turn of the platform over each step, in its own axes
+            turn = np.einsum("nij,nkj->nik", attitude[2::2], attitude[:-2:2])
+            turns = 0.5 * np.stack([turn[:, j - 2, j - 1] - turn[:, j - 1, j - 2] for j in range(3)], axis=1)
+            predicted -= turns * (r.turn_sensitivity / r.step)
             columns -= np.gradient(e, points[0], axis=0) * r.turn_sensitivity
         columns[1:-1] += np.diff(columns, 2, axis=0) / (24.0 * self.every**2)  # their mean over the step
         residual = _weighted(force - predicted, self.window, self.stride)
         table = np.concatenate([residual[:, :, None], self._smooth_points(columns)], axis=2)
-        white = self.whitening @ table.reshape(self.count, -1)
+        white = self.whitening @ table.reshape(len(table), -1)
         white = (white - orthonormal @ (orthonormal.T @ white)).reshape(table.shape)
         return white[:, :, 0], white[:, :, 1:]
 
@@ -290,12 +283,6 @@ def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
 def _simpson(ends: Array, middles: Array) -> Array:
     """Means over steps, from values at their ends and in their middle."""
     return (ends[:-1] + 4.0 * middles + ends[1:]) / 6.0
-
-
-def _turns(attitude: Array) -> Array:
-    """Turn (n, 3) [rad] of the platform over each step in its own axes, from ``C_G^P`` (n + 1, 3, 3)."""
-    step = np.einsum("nij,nkj->nik", attitude[1:], attitude[:-1])
-    return 0.5 * np.stack([step[:, j - 2, j - 1] - step[:, j - 1, j - 2] for j in range(3)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -407,11 +394,13 @@ class ObservedRecord:
         Gravity at the two ends of the record gives two directions known in both frames (TRIAD method). The error is the
         size of the misalignments, which are still unknown.
         """
-        r, n = self.readouts, len(self.readouts.increments)
-        ends = [slice(0, max(1, n // 20)), slice(n - max(1, n // 20), n)]
+        r, few = self.readouts, max(1, len(self.readouts.increments) // 20)
         t = 0.5 * (r.times[1:] + r.times[:-1])
-        shown = _triad_of(*(r.increments[part].mean(axis=0) for part in ends))
-        felt = _triad_of(*((_earth_to_inertial(t[part]) @ self.force_at_rest).mean(axis=0) for part in ends))
+        turned = _earth_to_inertial(t) @ self.force_at_rest
+        shown, felt = (
+            _triad_of(values[:few].mean(axis=0), values[-few:].mean(axis=0))
+            for values in (r.increments, turned)
+        )
         triad, zero = shown @ felt.T, Tip(np.zeros(2 + 2 * self.orders))
         rate, eta0 = np.polyfit(r.times, r.pickoff, 1)
         base = triad.T @ gimbal_attitude(r.gimbals[0])
@@ -433,30 +422,29 @@ class ObservedRecord:
 
     def groups(self, x: Unknowns) -> list[Reduced]:
         """Rows of every source about ``x``. The rows of the force exclude what a slow force can explain."""
-        made = {"gimbals": self._gimbals, "pick-off": self._pickoff, "force": self._force, "rest": self._rest}
-        return [rows(x) for name, rows in made.items() if name in self.sources]
-
-    def _gimbals(self, x: Unknowns) -> Reduced:
-        """Rows of the gimbal angles."""
-        r, t = self.readouts, self.readouts.times
-        attitude, _ = x.platform(*_nodes(r))
-        to_platform = x.from_earth(attitude, t)
-        pole = (attitude @ x.triad[:, 2])[:, :, None]
-        e, _ = x.regressors(*_nodes(r))
-        turn = np.concatenate([e, attitude, attitude * t[:, None, None], -to_platform[:, :, :2], -pole], axis=2)
-        residual = wrapped(r.gimbals - gimbals_of(to_platform @ x.base))
-        return Reduced.of("gimbals", residual.ravel(), self._cut(turns_to_gimbals(r.gimbals, turn)))
-
-    def _pickoff(self, x: Unknowns) -> Reduced:
-        _, ring = x.platform(*_nodes(self.readouts))
-        _, columns = x.regressors(*_nodes(self.readouts))
-        return Reduced.of("pick-off", self.readouts.pickoff - ring, self._cut(columns))
+        r, made, nodes = self.readouts, [], _nodes(self.readouts)
+        attitude, ring = x.platform(*nodes)
+        e, pick = x.regressors(*nodes)
+        if "gimbals" in self.sources:
+            to_platform = x.from_earth(attitude, r.times)
+            pole, by_drift = (attitude @ x.triad[:, 2])[:, :, None], attitude * r.times[:, None, None]
+            turn = np.concatenate([e, attitude, by_drift, -to_platform[:, :, :2], -pole], axis=2)
+            residual = wrapped(r.gimbals - gimbals_of(to_platform @ x.base))
+            columns = turns_to_gimbals(r.gimbals, turn)
+            made.append(Reduced.of("gimbals", residual.ravel(), self._cut(columns)))
+        if "pick-off" in self.sources:
+            made.append(Reduced.of("pick-off", r.pickoff - ring, self._cut(pick)))
+        if "force" in self.sources:
+            made.append(self._force(x))
+        if "rest" in self.sources:
+            made.append(self._rest(x))
+        return made
 
     def _force(self, x: Unknowns) -> Reduced:
         parts = [stretch.rows(x) for stretch in self.stretches]
         residual = np.concatenate([part.ravel() for part, _ in parts])
         columns = np.concatenate([self._cut(part) for _, part in parts])
-        rows = 3.0 * sum(s.count - s.slow[0].shape[1] for s in self.stretches)
+        rows = 3.0 * sum(len(s.whitening) - s.slow[0].shape[1] for s in self.stretches)
         return Reduced.of("force", residual, columns, rows)
 
     def _rest(self, x: Unknowns) -> Reduced:
@@ -465,9 +453,8 @@ class ObservedRecord:
         half = [halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         felt = x.from_earth(attitude, half[0]) @ self.force_at_rest
-        middles = [v[1::2] for v in half]
-        e, _ = x.regressors(*middles)
-        by_drift = attitude[1::2] * middles[0][:, None, None]
+        e, _ = x.regressors(*(v[1::2] for v in half))
+        by_drift = attitude[1::2] * half[0][1::2, None, None]
         turn = np.concatenate([e, attitude[1::2], by_drift, np.zeros_like(by_drift)], axis=2)
         residual = r.increments / r.step - _simpson(felt[::2], felt[1::2])
         return Reduced.of("force", residual.ravel(), self._cut(np.cross(felt[1::2, :, None], turn, axis=1)))

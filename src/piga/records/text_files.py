@@ -319,7 +319,8 @@ def toml_value(value: Any) -> str:
     if isinstance(value, (str, int, float)):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        inside = ", ".join(f"{toml_key(str(name))} = {toml_value(part)}" for name, part in value.items())
+        given = ((toml_key(str(name)), part) for name, part in value.items() if part is not None)
+        inside = ", ".join(f"{key} = {toml_value(part)}" for key, part in given)
         return f"{{ {inside} }}" if inside else "{}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(toml_value, value))}]"
@@ -327,7 +328,10 @@ def toml_value(value: Any) -> str:
 
 
 def toml_text(document: Mapping[str, Any], comments: Mapping[str, list[str]] | None = None) -> str:
-    """A document of tables as text. ``comments``: lines to stand before ``table`` or ``table.key``."""
+    """A document of tables as text, without keys that have no value (None).
+
+    ``comments``: lines to stand before ``table`` or ``table.key``.
+    """
     comments = comments or {}
     lines = [f"# {line}" for line in comments.get("", [])]
     lines += [
@@ -341,6 +345,6 @@ def toml_text(document: Mapping[str, Any], comments: Mapping[str, list[str]] | N
         lines += ["", *(f"# {line}" for line in comments.get(table, [])), f"[{toml_key(table)}]"]
         for key, value in part.items():
             lines += [f"# {line}" for line in comments.get(f"{table}.{key}", [])]
-            lines.append(f"{toml_key(key)} = {toml_value(value)}")
+            lines += [] if value is None else [f"{toml_key(key)} = {toml_value(value)}"]
         lines += [f"# {line}" for line in comments.get(f"{table}.", [])]
     return "\n".join(lines).lstrip("\n") + "\n"

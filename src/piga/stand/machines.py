@@ -27,19 +27,14 @@ def turned(vector: Array, angle: Array) -> Array:
 def _in_axes(matrix: Array, *motion: Array) -> tuple[Array, Array]:
     """Rows of force and rate (n, 3) multiplied by ``matrix`` (3, 3).
 
-    The product is written out, because the rounding of a matrix product may depend on the number of rows. The
-    result at one time must not depend on the other times of the call.
+    The product is written out: the rounding of a matrix product may depend on the number of rows, and the result at one
+    time must not depend on the other times of the call.
     """
     force, rate = (
         np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])
         for x, y, z in (vectors.T for vectors in motion)
     )
     return force, rate
-
-
-def _small_turn(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
-    """Matrix to axes turned by the small rotation vector ``(x, y, z)`` [rad], (3, 3)."""
-    return rotation_vector_to_matrix(np.array([x, y, z])).T
 
 
 def _up_and_earth(site: Site, errors: Imperfections, azimuth: float | None) -> tuple[Array, Array]:
@@ -49,11 +44,12 @@ def _up_and_earth(site: Site, errors: Imperfections, azimuth: float | None) -> t
     """
     north, up = EARTH_RATE * math.cos(site.latitude), EARTH_RATE * math.sin(site.latitude)
     if azimuth is None:
-        tilt, axes = _small_turn(*errors.levelling), ([0.0, 0.0, 1.0], [north, 0.0, up])
+        tilt, axes = (*errors.levelling, 0.0), ([0.0, 0.0, 1.0], [north, 0.0, up])
     else:
         across, along = -math.sin(azimuth) * north, math.cos(azimuth) * north
-        tilt, axes = _small_turn(0.0, *errors.levelling[::-1]), ([1.0, 0.0, 0.0], [up, across, along])
-    return tilt @ np.array(axes[0]), tilt @ np.array(axes[1])
+        tilt, axes = (0.0, *errors.levelling[::-1]), ([1.0, 0.0, 0.0], [up, across, along])
+    turn = rotation_vector_to_matrix(np.array(tilt)).T
+    return turn @ np.array(axes[0]), turn @ np.array(axes[1])
 
 
 def _turned_field(
@@ -76,12 +72,7 @@ _ALONG_Z = {
 def mount(axis: str, what: str = "mount") -> Array:
     """Matrix from stand axes to base axes when base ``axis`` lies along the stand's z axis, (3, 3).
 
-    ``axis`` is ``X0``, ``Y0`` or ``Z0``, with ``-`` for the opposite direction.
-
-    Raises
-    ------
-    ArgumentError
-        For another name.
+    ``axis`` is ``X0``, ``Y0`` or ``Z0``, with ``-`` for the opposite direction; another name is an ArgumentError.
     """
     name = axis.removeprefix("-")
     if name not in _ALONG_Z:
@@ -329,7 +320,6 @@ class RateTable(_Spinning):
 
 # -- vibration table: sine dwells, sweeps and random vibration along one axis ------------------------------
 
-_UP_FIRST = _ALONG_Z["Y0"]
 _LINES = 256
 
 
@@ -367,11 +357,6 @@ class Drive:
                 f"vibration drive: random from {self.frequency:g} Hz to {self.last_frequency:g} Hz",
                 remedy="give a last_frequency above frequency",
             )
-
-    @property
-    def highest(self) -> float:
-        """Highest frequency [Hz]."""
-        return self.frequency if self.shape in ("rest", "sine") else max(self.frequency, self.last_frequency)
 
     def acceleration(self, t: Array) -> tuple[Array, Array]:
         """Acceleration [m/s^2] and its rate of change [m/s^3] at ``t`` [s] since the start of the drive."""
@@ -424,7 +409,8 @@ class VibrationTable:
     @property
     def fastest(self) -> float:
         """Step [s]: 40 samples per period of the highest frequency."""
-        return 1.0 / (40.0 * max(drive.highest for drive in self.drives))
+        moving = [drive.last_frequency for drive in self.drives if drive.shape in ("sweep", "random")]
+        return 1.0 / (40.0 * max([*moving, *(drive.frequency for drive in self.drives)]))
 
     def segments(self) -> tuple[Segment, ...]:
         """Drives ``0, 1, ...``."""
@@ -452,7 +438,9 @@ class VibrationTable:
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each."""
         wave, wave_rate, peak = self._drive(t)
-        to_base = mount(self.up) @ _UP_FIRST @ _small_turn(0.0, *errors.levelling)
+        to_base = (
+            mount(self.up) @ _ALONG_Z["Y0"] @ rotation_vector_to_matrix(np.array([0.0, *errors.levelling])).T
+        )
         up, earth = (to_base @ vector for vector in _up_and_earth(self.site, NONE, 0.0))
         along, across = mount(self.axis)[:, 2], mount(self.axis)[:, 0]
         gravity = (self.site.local_gravity + errors.gravity) * up

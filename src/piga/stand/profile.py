@@ -1,11 +1,8 @@
 """The interface of all stands, their imperfections, and the table of specific force and base rate with labelled segments.
 
 A stand has two functions: the plan of its segments, and the motion that an instrument on it feels at any time.
-:func:`sample_stand` samples them into a :class:`Profile`, the table that other modules use. A :class:`Composite` is
-a sequence of stands. A :class:`LoggedProfile` is a stand that replays a logged table.
-
 Imperfections have their names in the uncertainty budget. The reference in a lab's log is that of the stand without them. The
-instrument feels the stand with them. All are scalars or vectors in SI, zero by default.
+instrument feels the stand with them.
 """
 
 from __future__ import annotations
@@ -204,9 +201,8 @@ class Stand(Protocol):
 class Profile(Result):
     """A test as a table, one row per sample time.
 
-    ``t`` [s] (n,); ``segment`` (n,) index into ``segments``; ``force`` [m/s^2] and ``base_rate`` [rad/s]
-    (n, 3) are what the instrument feels. ``reference`` and ``reference_rate`` (n, 3) are those of the lab's
-    log.
+    ``t`` [s] (n,); ``segment`` (n,) index into ``segments``; ``force`` [m/s^2] and ``base_rate`` [rad/s] (n, 3) are what
+    the instrument feels. ``reference`` and ``reference_rate`` (n, 3) are those of the lab's log.
     """
 
     t: Array
@@ -283,11 +279,7 @@ def sample_stand(
 
 
 def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:
-    """Change of a stand's specific force at ``t`` by the imperfections ``errors`` [m/s^2], (n, 3): true minus reference.
-
-    The uncertainty budget uses it: one row of the budget is the change for one standard uncertainty of one
-    imperfection, propagated through the calibration.
-    """
+    """Change of a stand's specific force at ``t`` by the imperfections ``errors`` [m/s^2], (n, 3): true minus reference."""
     return errors.felt(*stand.motion(t, errors))[0] - stand.motion(t, NONE)[0]
 
 
@@ -322,11 +314,6 @@ class Composite:
         """Smallest step of its parts."""
         return min(part.fastest for part in self.parts)
 
-    def _starts(self) -> list[float]:
-        """Start of each part [s]."""
-        lasting = [part.segments()[-1].stop + self.pause for part in self.parts]
-        return [0.0, *accumulate(lasting)][:-1]
-
     def segments(self) -> tuple[Segment, ...]:
         """Segments of all parts, and the pauses between them."""
         rows: list[tuple[str, float, bool]] = []
@@ -337,7 +324,8 @@ class Composite:
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
         """Specific force and base rate in base axes, (n, 3) each. Each part has its own imperfections."""
-        starts, following, first = self._starts(), self.parts[1:], np.zeros(1)
+        lasting = [part.segments()[-1].stop + self.pause for part in self.parts]
+        starts = [0.0, *accumulate(lasting)][:-1]
         force, rate = np.zeros((t.size, 3)), np.zeros((t.size, 3))
         index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(starts) - 1)
         for k, part in enumerate(self.parts):
@@ -346,9 +334,9 @@ class Composite:
                 continue
             local, end = t[rows] - starts[k], part.segments()[-1].stop
             force[rows], rate[rows] = part.motion(np.minimum(local, end), errors.of(part.accepted))
-            for other in following[k : k + 1]:
+            for other in self.parts[k + 1 : k + 2]:
                 share = np.clip((local - end) / self.pause, 0.0, 1.0)[:, None]
-                begins = other.motion(first, errors.of(other.accepted))
+                begins = other.motion(np.zeros(1), errors.of(other.accepted))
                 force[rows] += share * (begins[0] - force[rows])
                 rate[rows] += share * (begins[1] - rate[rows])
         return force, rate

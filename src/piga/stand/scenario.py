@@ -314,13 +314,7 @@ def read_scenario(path: str | Path, *, content: str | None = None) -> Scenario:
 
 
 def scenario_of(path: Path, table: ScenarioTable) -> Scenario:
-    """The scenario of a table that was read from ``path``.
-
-    Raises
-    ------
-    RunFileError
-        As in :func:`read_scenario`.
-    """
+    """The scenario of a table that was read from ``path``. Errors as in :func:`read_scenario`."""
     try:
         if table.instrument.servo is not None:
             table.instrument.servo.parameters()

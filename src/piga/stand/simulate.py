@@ -79,13 +79,7 @@ class Specimen:
 
     @property
     def design(self) -> TwinParameters:
-        """The twin with this instrument's K, beta and alpha0.
-
-        Raises
-        ------
-        ArgumentError
-            If no twin is given.
-        """
+        """The twin with this instrument's K, beta and alpha0; an ArgumentError if no twin is given."""
         if self.twin is None:
             raise ArgumentError("the model 'twin' needs [twin] parameters", remedy='e.g. preset = "example"')
         instrument = self.instrument
@@ -302,11 +296,9 @@ class _Felt:
             own, own_rate = own_rate, inst.scale_factor * _forces_of_angle(specimen, alpha, force, base_rate)
             if np.max(np.abs(own_rate - own)) < 1e-15:
                 more = inst.scale_factor * (true_force - force) - (true_rate - base_rate)
-                polynomial = model.specific_force(t, true_force, kelvin) - model.specific_force(
-                    t, force, kelvin
-                )
+                true, smooth = (model.specific_force(t, felt, kelvin) for felt in (true_force, force))
                 across = more[:, 1] * np.sin(alpha) - more[:, 2] * np.cos(alpha)
-                return alpha, rate + more[:, 0] + inst.scale_factor * polynomial + inst.tan_beta * across
+                return alpha, rate + more[:, 0] + inst.scale_factor * (true - smooth) + inst.tan_beta * across
         raise ArgumentError(
             "harmonics or servo terms: too large to be simulated",
             remedy="they are small corrections, e.g. 1e-5 g",

@@ -195,7 +195,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
             "kind": "direct" if direct else None,
             "counts_per_revolution": described.counts_per_revolution if counts and not direct else None,
             "counter_bits": described.counter_bits if counts else None,
-            "servo": msgspec.to_builtins(described.servo),
+            "servo": described.servo and msgspec.to_builtins(described.servo),
         },
         "data": {
             "file": data_file,
@@ -215,7 +215,7 @@ def run_file_text(scenario: Scenario, test: SimulatedTest, data_file: str) -> st
     comment = (
         f"# Simulated by piga {__version__} from {scenario.path.name}, model {test.model}, seed {test.seed}.\n"
     )
-    return comment + toml_text({name: given_values(part) for name, part in tables.items() if part})
+    return comment + toml_text({name: part for name, part in tables.items() if part})
 
 
 def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
@@ -227,15 +227,6 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     if not test.specimen.direct:
         model.setdefault("phases", "shared" if _shares_phase(test) else "per-segment")
     return model
-
-
-def given_values(value: Any) -> Any:
-    """Nested tables without empty keys (TOML has no null)."""
-    if isinstance(value, dict):
-        return {key: given_values(item) for key, item in value.items() if item is not None}
-    if isinstance(value, (list, tuple)):
-        return [given_values(item) for item in value]
-    return value
 
 
 def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
