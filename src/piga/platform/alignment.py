@@ -1,8 +1,8 @@
 """Alignment on a static base: attitude and drift of the triad against inertial axes, with covariance.
 
-Two observations are used. Gravity describes a cone about the Earth's axis, because the platform keeps its attitude in
-inertial space. The gimbal angles follow the base, because the Earth turns it. Together they give the triad's attitude
-and drift and the base's attitude. Each observation alone lacks one angle.
+Gravity describes a cone about the Earth's axis, because the platform keeps its attitude in inertial space. The gimbal angles
+follow the base, because the Earth turns it. Together they give the triad's attitude and drift and the base's attitude. Each
+observation alone lacks one angle.
 """
 
 from __future__ import annotations
@@ -115,14 +115,5 @@ def align(
         eta_rate=knowledge.eta_rate,
     )
     x, parts, solution = gauss_newton(record, known, iterations, progress, settled=0.0)
-    noise, rms = solution.by_source(parts)
-    return Alignment(
-        place=place,
-        triad=x.triad.T.copy(),
-        drift=x.drift,
-        base=local_axes(place.latitude, place.longitude).T @ x.base,
-        covariance=solution.covariance,
-        noise=noise,
-        rms=rms,
-        condition=solution.condition,
-    )
+    base, noise = local_axes(place.latitude, place.longitude).T @ x.base, solution.by_source(parts)
+    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, *noise, solution.condition)

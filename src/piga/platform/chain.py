@@ -13,17 +13,9 @@ import numpy as np
 
 from piga import earth
 from piga.frames import rotation_vector_to_matrix
+from piga.platform import analysis, navigator
 from piga.platform.alignment import Alignment, align
-from piga.platform.analysis import (
-    Lines,
-    case_rates,
-    daily_lines,
-    day_slices,
-    has_theory,
-    lines_note,
-    theory_lines,
-    theory_note,
-)
+from piga.platform.analysis import Lines, case_rates
 from piga.platform.geometry import local_axes
 from piga.platform.identify import Identification, identify
 from piga.platform.navigator import (
@@ -32,10 +24,6 @@ from piga.platform.navigator import (
     Navigation,
     Perturbation,
     Start,
-    compensator,
-    errors,
-    linear_errors,
-    navigate,
     true_knowledge,
     true_start,
 )
@@ -131,7 +119,7 @@ def prepare(run: PlatformRun, progress: Progress | None = None) -> Preparation:
     """Identify and align as the scenario asks, from readouts of its calibration stretch only."""
     s, c = run.scenario, run.scenario.compensation
     stretch, place = run.readouts.first(s.calibration_time), s.place
-    identification, aligned, notes = None, None, [lines_note(s), theory_note(s)]
+    identification, aligned, notes = None, None, [analysis.lines_note(s), analysis.theory_note(s)]
     if c.misalignment == "identified" and s.polar_rotation.rate > 0.0:
         identification = identify(stretch, place, sources=sources_of(run), orders=c.orders, progress=progress)
         notes = [*identification.notes, *notes]
@@ -159,12 +147,20 @@ def _drift(s: PlatformScenario, aligned: Alignment | None) -> Array:
 def run_model(run: PlatformRun, preparation: Preparation, model: Model, *, every: int = 1) -> ModelRun:
     """Navigate the run with one model; lines per day, and theory where the base stays at its place."""
     s = run.scenario
-    made = compensator(model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
-    navigation = navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every)
-    error = errors(navigation, run.truth, run.readouts)
-    lines = daily_lines(error, case_rates(s), s.place.latitude)
-    days = day_slices(error.times)
-    theory = theory_lines(s, model, preparation.knowledge, days, error.times) if has_theory(s) else None
+    made = navigator.compensator(
+        model, preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy
+    )
+    navigation = navigator.navigate(
+        run.readouts, made, preparation.start, damping_time=s.damping_time, every=every
+    )
+    error = navigator.errors(navigation, run.truth, run.readouts)
+    lines = analysis.daily_lines(error, case_rates(s), s.place.latitude)
+    days = analysis.day_slices(error.times)
+    theory = (
+        analysis.theory_lines(s, model, preparation.knowledge, days, error.times)
+        if analysis.has_theory(s)
+        else None
+    )
     return ModelRun(navigation, error, lines, theory)
 
 
@@ -293,17 +289,19 @@ def perturbed_errors(run: PlatformRun, perturbation: Perturbation) -> Errors:
         increments=readouts.increments + readouts.step * np.array(perturbation.bias),
         altitude=readouts.altitude + perturbation.height,
     )
-    made = compensator("none", true_knowledge(run.scenario), biased)
+    made = navigator.compensator("none", true_knowledge(run.scenario), biased)
     moved = Start(position, velocity, triad, np.array(perturbation.drift))
     every = max(1, round(10.0 / readouts.step))
-    navigation = navigate(biased, made, moved, damping_time=run.scenario.damping_time, every=every)
-    return errors(navigation, run.truth, readouts)
+    navigation = navigator.navigate(biased, made, moved, damping_time=run.scenario.damping_time, every=every)
+    return navigator.errors(navigation, run.truth, readouts)
 
 
 def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbation) -> BudgetRow:
     full, s = perturbed_errors(run, perturbation), run.scenario
     step, duration = float(full.times[1] - full.times[0]), float(full.times[-1])
-    linear = linear_errors(s.place, perturbation, duration, step=step, damping_time=s.damping_time)[1:]
+    linear = navigator.linear_errors(s.place, perturbation, duration, step=step, damping_time=s.damping_time)[
+        1:
+    ]
     place = np.stack([full.north - quiet.north, full.east - quiet.east], axis=1)
     velocity = (full.velocity - quiet.velocity)[:, :2]
     both = (linear[:, 1:3], place, linear[:, 4:6], velocity, place - linear[:, 1:3])

@@ -1,10 +1,8 @@
 """Geometry of the platform: positions on the Earth, the nulled triad and rings, case-rotation schedules.
 
-Positions and gravitation are those of the WGS-84 Earth in the field the navigator uses (J2). The simulator and the
-navigator use the same field, so a run without errors stays at its place. Earth-fixed axes ``e``: z along the polar
-axis, x through the Greenwich meridian. Inertial axes ``i`` coincide with ``e`` at time zero.
-
-Triad and rings are given by the exact nulled geometry and by the small-angle matrices of the literature.
+Positions and gravitation are those of the WGS-84 Earth in the field (J2) that simulator and navigator use, so a run without
+errors stays at its place. Earth-fixed axes ``e``: z along the polar axis, x through the Greenwich meridian. Inertial axes
+``i`` coincide with ``e`` at time zero. Triad and rings: the exact nulled geometry, and the literature's small-angle matrices.
 """
 
 from __future__ import annotations
@@ -60,17 +58,10 @@ def earth_to_geodetic(position: ArrayLike) -> tuple[Array, Array, Array]:
 
 def local_axes(latitude: ArrayLike, longitude: ArrayLike) -> Array:
     """``C_n^e`` (..., 3, 3): columns north, east, down in Earth-fixed axes."""
-    lat, lon = np.broadcast_arrays(np.asarray(latitude, dtype=float), np.asarray(longitude, dtype=float))
+    lat, lon = (np.asarray(v, dtype=float) for v in np.broadcast_arrays(latitude, longitude))
     sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
-    zero = np.zeros_like(sl)
-    return np.stack(
-        [
-            np.stack([-sl * co, -so, -cl * co], axis=-1),
-            np.stack([-sl * so, co, -cl * so], axis=-1),
-            np.stack([cl, zero, -sl], axis=-1),
-        ],
-        axis=-2,
-    )
+    rows = (-sl * co, -so, -cl * co, -sl * so, co, -cl * so, cl, np.zeros_like(sl), -sl)
+    return np.stack(rows, axis=-1).reshape(*sl.shape, 3, 3)
 
 
 def gravitation(position: ArrayLike) -> Array:
@@ -84,8 +75,7 @@ def gravitation(position: ArrayLike) -> Array:
     inverse2 = 1.0 / np.sum(r * r, axis=-1, keepdims=True)
     s2 = r[..., 2:3] ** 2 * inverse2
     q = 1.5 * earth.J2 * earth.SEMI_MAJOR_AXIS**2 * inverse2
-    factor = np.concatenate([1.0 - 5.0 * s2, 1.0 - 5.0 * s2, 3.0 - 5.0 * s2], axis=-1)
-    return -earth.GM * inverse2**1.5 * r * (1.0 + q * factor)
+    return -earth.GM * inverse2**1.5 * r * (1.0 + q * (np.array([1.0, 1.0, 3.0]) - 5.0 * s2))
 
 
 def gravitation_gradient(position: Array) -> Array:
@@ -110,30 +100,25 @@ def gravity(latitude: float, height: float = 0.0) -> float:
     return float(np.linalg.norm(specific_force_at_rest(geodetic_to_earth(latitude, 0.0, height))))
 
 
-def _harmonics(gyro: Gyro, orders: int, phase: float) -> tuple[Array, Array]:
-    """Cosine and sine coefficients [rad] of the misalignment, order 1 to ``orders``, over the case angle less ``phase``.
+def encoder_harmonics(gyro: Gyro, orders: int, *, phase: float | None = None) -> tuple[Array, Array]:
+    """Cosine and sine coefficients [rad] of the misalignment, order 1 to ``orders``, over the *encoder* angle.
 
-    With ``c = theta + phase``: ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``,
-    ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
+    This is the case angle less ``phase`` (None: that of the gyro). With ``c = theta + phase``:
+    ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``, ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
     """
     cosines, sines = np.zeros(orders), np.zeros(orders)
     for h in gyro.harmonics:
         if h.order <= orders:
-            angle = h.order * phase + h.phase
+            angle = h.order * (gyro.phase if phase is None else phase) + h.phase
             cosines[h.order - 1] += h.amplitude * np.cos(angle)
             sines[h.order - 1] -= h.amplitude * np.sin(angle)
     return cosines, sines
 
 
-def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
-    """Harmonics of the misalignment over the *encoder* angle: cosine and sine, order 1 to ``orders``."""
-    return _harmonics(gyro, orders, gyro.phase)
-
-
 def over_case_angle(gyro: Gyro) -> Misalignment:
     """The misalignment of a gyro, in the form for the kernels."""
     orders = max((h.order for h in gyro.harmonics), default=0)
-    return Misalignment(gyro.misalignment, *_harmonics(gyro, orders, 0.0))
+    return Misalignment(gyro.misalignment, *encoder_harmonics(gyro, orders, phase=0.0))
 
 
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:
@@ -244,7 +229,5 @@ def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration
     reversal the tip returns to its start after every full turn, so the bound is the same.
     Own derivation, docs/theory/platform.md section 4.
     """
-    drift = float(np.hypot(*case_drift))
-    if rotation.rate == 0.0:
-        return drift * duration
-    return drift * min(duration, 2.0 / rotation.rate)
+    longest = 2.0 / rotation.rate if rotation.rate else duration
+    return float(np.hypot(*case_drift)) * min(duration, longest)

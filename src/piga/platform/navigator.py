@@ -23,17 +23,7 @@ from piga._kernels.platform.navigation import (
 )
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix, skew
-from piga.platform.geometry import (
-    KERNEL_EARTH,
-    geodetic_to_earth,
-    gravitation,
-    gravitation_gradient,
-    halved,
-    local_axes,
-    small_angles,
-    specific_force_at_rest,
-    wrapped,
-)
+from piga.platform import geometry
 from piga.platform.scenario import Gyro, Model, Place, PlatformScenario
 from piga.platform.simulate import Readouts, Truth
 from piga.results import Array, Result
@@ -78,17 +68,10 @@ def compensator(
 ) -> CaseCompensator:
     """Prepare a model.
 
-    Parameters
-    ----------
-    model:
-        ``none``; ``A`` redundancy angle held at ``knowledge.eta0``; ``B`` followed; ``C`` followed and with
-        the harmonics of the misalignments [He2014 for A and B; C is this project's own].
-    knowledge:
-        Misalignments, phases and redundancy angle to compensate.
-    readouts:
-        Readouts of the run. They give the pick-off and the times.
-    redundancy:
-        Source of the redundancy angle for B and C: ``pick-off`` or ``drift-model`` (``eta0 + rate t``).
+    ``model``: ``none``; ``A`` redundancy angle held at ``knowledge.eta0``; ``B`` followed; ``C`` followed and with the
+    harmonics of the misalignments [He2014 for A and B; C is this project's own]. ``readouts`` of the run give the pick-off
+    and the times. ``redundancy``: source of the redundancy angle for B and C: ``pick-off`` or ``drift-model``
+    (``eta0 + rate t``).
     """
     if model == "none":
         return CaseCompensator(model, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1))
@@ -101,8 +84,8 @@ def compensator(
     elif redundancy == "drift-model":
         eta = knowledge.eta0 + knowledge.eta_rate * readouts.times
     else:
-        eta = _follow_redundancy(readouts, small_angles(p, e, c1, c2, 0.0)[1], knowledge)
-    angles, _ = small_angles(p, e, halved(c1), halved(c2), halved(eta))
+        eta = _follow_redundancy(readouts, geometry.small_angles(p, e, c1, c2, 0.0)[1], knowledge)
+    angles, _ = geometry.small_angles(p, e, geometry.halved(c1), geometry.halved(c2), geometry.halved(eta))
     nodes, middles = (np.ascontiguousarray(angles[first::2]) for first in (0, 1))
     return CaseCompensator(model, nodes, middles, eta)
 
@@ -113,15 +96,12 @@ def _follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge
     The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
     if the cases rest), so errors of the model at the case-rotation period are averaged out.
     """
-    last = min(len(expected) - 1, 64)
-    turned = abs(readouts.encoder1[last] - readouts.encoder1[0]) / (last * readouts.step)
+    last, h = min(len(expected) - 1, 64), readouts.step
+    turned = abs(readouts.encoder1[last] - readouts.encoder1[0]) / (last * h)
     constant = 4.0 * 2.0 * np.pi / turned if turned > 0.0 else 480.0
-    decay = np.exp(-readouts.step / constant)
-    eta = np.empty(len(expected))
-    follow(
-        readouts.pickoff, expected, knowledge.eta0, knowledge.eta_rate, readouts.step,
-        1.0 - decay * decay, (1.0 - decay) ** 2 / readouts.step, eta,
-    )  # fmt: skip
+    decay, eta = np.exp(-h / constant), np.empty(len(expected))
+    gains = 1.0 - decay * decay, (1.0 - decay) ** 2 / h
+    follow(readouts.pickoff, expected, knowledge.eta0, knowledge.eta_rate, h, *gains, eta)
     return eta
 
 
@@ -156,9 +136,8 @@ class Navigator:
             )
         self.step, self.drift, self.triad = step, np.array(start.drift), np.array(start.triad)
         self.damping = damping_gains(damping_time)
-        self.state = np.zeros((9, 3))
+        self.state, self.steps = np.zeros((9, 3)), 0
         self.state[0], self.state[1] = start.position, start.velocity
-        self.steps = 0
 
     def push(self, increments: Array, angles: Array, altitude: Array, every: int = 1) -> tuple[Array, Array]:
         """Advance over ``increments`` (n, 3) [m/s].
@@ -178,29 +157,30 @@ class Navigator:
             self._prime(increments)
         rate = float(np.linalg.norm(self.drift))
         block = n if rate == 0.0 else max(every, int(_LARGEST_TURN / (rate * self.step)) // every * every)
-        stepping = Stepping(self.step, every, self.damping, KERNEL_EARTH)
+        stepping = Stepping(self.step, every, self.damping, geometry.KERNEL_EARTH)
         for at in range(0, n, max(block, 1)):
             part = slice(at, min(at + block, n))
             rows = slice(at // every, part.stop // every)
+            triad = self.triad @ rotation_vector_to_matrix(self.drift * (self.steps * self.step))
             navigate_chunk(
-                increments[part], _cut(angles, part), Triad(self._triad_now(), self.drift), _cut(altitude, part),
+                increments[part], _cut(angles, part), Triad(triad, self.drift), _cut(altitude, part),
                 stepping, self.state, positions[rows], velocities[rows],
             )  # fmt: skip
             self.steps += part.stop - part.start
         return positions, velocities
 
-    def _triad_now(self) -> Array:
-        return self.triad @ rotation_vector_to_matrix(self.drift * (self.steps * self.step))
-
     def _prime(self, increments: Array) -> None:
         """Past gravitation and increments that a start from rest lacks, by the motion run backwards."""
-        h, first = self.step, self.triad @ increments[0]
+        h, r, v, first = self.step, self.state[0], self.state[1], self.triad @ increments[0]
         slope = self.triad @ (increments[min(1, len(increments) - 1)] - increments[0])
-        r, v = self.state[0], self.state[1]
-        acceleration = first / h + gravitation(r)
+        acceleration = first / h + geometry.gravitation(r)
         for back, row in ((1.0, 3), (2.0, 4)):
-            self.state[row] = gravitation(r - back * h * v + 0.5 * (back * h) ** 2 * acceleration)
-        self.state[2], self.state[5], self.state[6] = gravitation(r), first - slope, first - 2.0 * slope
+            self.state[row] = geometry.gravitation(r - back * h * v + 0.5 * (back * h) ** 2 * acceleration)
+        self.state[2], self.state[5], self.state[6] = (
+            geometry.gravitation(r),
+            first - slope,
+            first - 2.0 * slope,
+        )
         self.state[8] = r / np.linalg.norm(r)
 
 
@@ -280,9 +260,8 @@ def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     times, shown = navigation.times, navigation.table
     every = round((times[1] - times[0]) / readouts.step) if len(times) > 1 else 1
     node = slice(every, every * len(times) + 1, every)
-    place, velocity, attitude = (
-        _cut(v, node) for v in (truth.motion.place, truth.motion.velocity, truth.motion.attitude)
-    )
+    motion = truth.motion
+    place, velocity, attitude = (_cut(v, node) for v in (motion.place, motion.velocity, motion.attitude))
     latitude, height = place[:, 0], place[:, 2]
     root = np.sqrt(1.0 - earth.ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     prime = earth.SEMI_MAJOR_AXIS / root
@@ -290,10 +269,10 @@ def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
     return Errors(
         times=times,
         north=(shown[:, 0] - latitude) * (meridian + height),
-        east=wrapped(shown[:, 1] - place[:, 1]) * (prime + height) * np.cos(latitude),
+        east=geometry.wrapped(shown[:, 1] - place[:, 1]) * (prime + height) * np.cos(latitude),
         up=shown[:, 2] - height,
         velocity=shown[:, 3:6] - velocity,
-        attitude=wrapped(shown[:, 6:9] - attitude),
+        attitude=geometry.wrapped(shown[:, 6:9] - attitude),
     )
 
 
@@ -301,12 +280,12 @@ def true_start(truth: Truth) -> Start:
     """Start from the true position and velocity and the true attitude of the triad; no drift taken out."""
     (latitude, longitude, height), velocity = truth.motion.place[0], truth.motion.velocity[0]
     start = site_start(Place(latitude, longitude, height), truth.triad_start.T.copy(), np.zeros(3))
-    return replace(start, velocity=local_axes(latitude, longitude) @ velocity + start.velocity)
+    return replace(start, velocity=geometry.local_axes(latitude, longitude) @ velocity + start.velocity)
 
 
 def site_start(place: Place, triad: Array, drift: Array) -> Start:
     """Start of a base at rest at a known place, with the triad ``C_G^i`` and its drift [rad/s] to take out."""
-    position = geodetic_to_earth(place.latitude, place.longitude, place.height)
+    position = geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
     return Start(position, np.cross([0.0, 0.0, earth.EARTH_RATE], position), triad, drift)
 
 
@@ -340,7 +319,7 @@ def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, 
     by ``attitude + drift t`` too far, its accelerometers read ``bias`` too much.
     """
     spin = skew(np.array([0.0, 0.0, earth.EARTH_RATE]))
-    axes = local_axes(place.latitude, place.longitude)
+    axes = geometry.local_axes(place.latitude, place.longitude)
     start = np.zeros(16)
     start[:3] = axes @ np.array(perturbation.position)
     start[3:6] = axes @ np.array(perturbation.velocity) + spin @ start[:3]
@@ -360,15 +339,15 @@ def _error_dynamics(place: Place, gains: Array) -> Array:
     State: error of inertial position and velocity, attitude, drift and bias (3 each), and of the reference height.
     Small misalignments between platform and triad are left out of the effect of the bias.
     """
-    position = geodetic_to_earth(place.latitude, place.longitude, place.height)
-    up = -local_axes(place.latitude, place.longitude)[:, 2]
+    position = geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
+    up = -geometry.local_axes(place.latitude, place.longitude)[:, 2]
     one, vertical = np.eye(3), np.outer(up, up)
     matrix = np.zeros((16, 16))
     matrix[:15, :15] = np.kron(np.eye(5), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))
     matrix[:3, :3] -= gains[0] * vertical
     matrix[:3, 3:6], matrix[:3, 15] = one, gains[0] * up
-    matrix[3:6, :3] = gravitation_gradient(position) - gains[1] * vertical
-    matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(specific_force_at_rest(position)), one
+    matrix[3:6, :3] = geometry.gravitation_gradient(position) - gains[1] * vertical
+    matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(geometry.specific_force_at_rest(position)), one
     matrix[3:6, 15] = gains[1] * up
     matrix[6:9, 9:12] = one
     return matrix

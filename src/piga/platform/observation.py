@@ -27,16 +27,7 @@ from scipy.linalg import toeplitz
 from piga import earth
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.platform.geometry import (
-    encoder_harmonics,
-    geodetic_to_earth,
-    gimbal_attitude,
-    halved,
-    nulled_attitude,
-    specific_force_at_rest,
-    turns_to_gimbals,
-    wrapped,
-)
+from piga.platform import geometry
 from piga.platform.scenario import Gyro, Harmonic, Place
 from piga.platform.simulate import Readouts
 from piga.results import Array, Result
@@ -56,7 +47,7 @@ class Tip:
     def of(cls, gyro: Gyro, orders: int) -> Tip:
         """The unknowns that describe ``gyro``, with harmonics up to ``orders``."""
         fundamental = gyro.misalignment * np.array([np.cos(gyro.phase), np.sin(gyro.phase)])
-        return cls(np.append(fundamental, np.stack(encoder_harmonics(gyro, orders), axis=1)))
+        return cls(np.append(fundamental, np.stack(geometry.encoder_harmonics(gyro, orders), axis=1)))
 
     @property
     def phase(self) -> float:
@@ -119,7 +110,9 @@ class Unknowns(Result):
         """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) [rad]."""
         polar, equatorial = self.polar.gyro(), self.equatorial.gyro()
         eta = self.eta0 + self.eta_rate * times
-        return nulled_attitude(polar, equatorial, encoder1 + polar.phase, encoder2 + equatorial.phase, eta)
+        return geometry.nulled_attitude(
+            polar, equatorial, encoder1 + polar.phase, encoder2 + equatorial.phase, eta
+        )
 
     def from_earth(self, attitude: Array, times: Array) -> Array:
         """``C_e^P`` (n, 3, 3) from ``C_G^P``, with the turn of the triad by drift."""
@@ -243,7 +236,7 @@ class _Stretch:
         length of the step does not bias the unknowns. Gyro accelerometers read the platform's own turn too.
         """
         r = self.readouts
-        half = [halved(v) for v in _nodes(r)]
+        half = [geometry.halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         force = r.increments / r.step
         undone = _weighted(np.einsum("nji,nj->ni", attitude[1::2], force), self.window, self.stride)
@@ -373,7 +366,9 @@ class ObservedRecord:
     def force_at_rest(self) -> Array:
         """Specific force (3,) in Earth axes [m/s^2] of a base at rest."""
         place = self.place
-        return specific_force_at_rest(geodetic_to_earth(place.latitude, place.longitude, place.height))
+        return geometry.specific_force_at_rest(
+            geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
+        )
 
     @cached_property
     def stretches(self) -> tuple[_Stretch, ...]:
@@ -403,7 +398,7 @@ class ObservedRecord:
         )
         triad, zero = shown @ felt.T, Tip(np.zeros(2 + 2 * self.orders))
         rate, eta0 = np.polyfit(r.times, r.pickoff, 1)
-        base = triad.T @ gimbal_attitude(r.gimbals[0])
+        base = triad.T @ geometry.gimbal_attitude(r.gimbals[0])
         return Unknowns(zero, zero, float(eta0), float(rate), triad, np.zeros(3), base)
 
     def moved(self, x: Unknowns, step: Array) -> Unknowns:
@@ -429,8 +424,8 @@ class ObservedRecord:
             to_platform = x.from_earth(attitude, r.times)
             pole, by_drift = (attitude @ x.triad[:, 2])[:, :, None], attitude * r.times[:, None, None]
             turn = np.concatenate([e, attitude, by_drift, -to_platform[:, :, :2], -pole], axis=2)
-            residual = wrapped(r.gimbals - gimbals_of(to_platform @ x.base))
-            columns = turns_to_gimbals(r.gimbals, turn)
+            residual = geometry.wrapped(r.gimbals - gimbals_of(to_platform @ x.base))
+            columns = geometry.turns_to_gimbals(r.gimbals, turn)
             made.append(Reduced.of("gimbals", residual.ravel(), self._cut(columns)))
         if "pick-off" in self.sources:
             made.append(Reduced.of("pick-off", r.pickoff - ring, self._cut(pick)))
@@ -450,7 +445,7 @@ class ObservedRecord:
     def _rest(self, x: Unknowns) -> Reduced:
         """Rows of the mean specific force over each step, on a base at rest, where it is known."""
         r = self.readouts
-        half = [halved(v) for v in _nodes(r)]
+        half = [geometry.halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
         felt = x.from_earth(attitude, half[0]) @ self.force_at_rest
         e, _ = x.regressors(*(v[1::2] for v in half))

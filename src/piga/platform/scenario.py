@@ -65,12 +65,6 @@ class MotionPlan(TomlTable, frozen=True):
     down_sway: LinearSway = LinearSway()
     file: str | None = None
 
-    def build(self, folder: Path) -> MotionPlan:
-        """The motion with its file, which is relative to ``folder``."""
-        if self.kind == "track" and not self.file:
-            raise ArgumentError("[motion] kind = 'track' needs a file", remedy="add file = 'track.csv'")
-        return msgspec.structs.replace(self, file=str(folder / self.file)) if self.file else self
-
 
 @dataclass(frozen=True)
 class Rotation:
@@ -162,17 +156,6 @@ class Compensation(TomlTable, frozen=True):
     drift: Literal["none", "aligned", "true"] = "none"
     attitude: Literal["aligned", "true"] | None = None
 
-    def build(self, *, static: bool) -> Compensation:
-        """The compensation for a base that is ``static`` or not; each model once."""
-        if not self.models:
-            raise ArgumentError("[compensation] models is empty", remedy="name one of none, A, B, C")
-        if not static and "aligned" in (self.attitude, self.drift):
-            raise ArgumentError(
-                "[compensation] attitude or drift = 'aligned' needs a static base",
-                remedy="write 'true', or [motion] kind = 'static'",
-            )
-        return msgspec.structs.replace(self, models=tuple(dict.fromkeys(self.models)))
-
 
 @dataclass(frozen=True)
 class PlatformScenario:
@@ -204,35 +187,6 @@ class PlatformScenario:
         """Number of steps of the run."""
         return round(self.duration / self.step)
 
-    def check(self) -> None:
-        """Refuse a scenario that the simulator cannot run.
-
-        Raises
-        ------
-        ArgumentError
-            The message names the key of the scenario file.
-        """
-        if self.steps < 8:
-            raise ArgumentError(
-                f"[run] duration holds {self.steps} steps; at least 8 are needed",
-                remedy="lengthen the duration or shorten the step",
-            )
-        if abs(self.steps * self.step - self.duration) > 1e-6 * self.duration:
-            raise ArgumentError(
-                f"[run] duration is not a whole number of steps of {self.step:g} s",
-                remedy=f"write e.g. '{self.steps * self.step:g} s'",
-            )
-        if abs(self.place.latitude) > 1.5:
-            raise ArgumentError(
-                "[site] latitude is within 4 deg of a pole, where the gimbals lock",
-                remedy="choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
-            )
-        if max(self.polar_rotation.rate, self.equatorial_rotation.rate) * self.step > 0.8:
-            raise ArgumentError(
-                f"[run] step {self.step:g} s gives fewer than 8 samples per case turn",
-                remedy="shorten the step or lengthen [case_rotation] period",
-            )
-
     def without_errors(self) -> PlatformScenario:
         """The scenario with perfect gyros and sensors: what the navigator alone does."""
         return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
@@ -253,8 +207,8 @@ class CaseRotationFile(TomlTable, frozen=True):
     equatorial_period: Literal["none"] | Time | None = None
     reversal: str = "none"
 
-    def build(self) -> tuple[Rotation, Rotation]:
-        """Rotation of the polar and of the equatorial case."""
+    def rotation(self, period: float | str) -> Rotation:
+        """Rotation of a case with this period [s]."""
         words, turns = self.reversal.split(), 0
         if self.reversal == "each-turn":
             turns = 1
@@ -265,10 +219,7 @@ class CaseRotationFile(TomlTable, frozen=True):
                 f"[case_rotation] reversal = '{self.reversal}' is not known",
                 remedy="write 'none', 'each-turn' or e.g. '3 turns'",
             )
-        rates = [0.0 if period == "none" else 2.0 * math.pi / period for period in (
-            self.period, self.equatorial_period or self.period
-        )]  # fmt: skip
-        return Rotation(rates[0], turns), Rotation(rates[1], turns)
+        return Rotation(0.0 if isinstance(period, str) else 2.0 * math.pi / period, turns)
 
 
 class RedundancyFile(TomlTable, frozen=True):
@@ -312,27 +263,64 @@ class ScenarioFile(TomlTable, frozen=True):
     navigation: NavigationFile = NavigationFile()
 
     def build(self, path: Path) -> PlatformScenario:
-        """The scenario of this file, which lies at ``path``."""
-        polar, equatorial = self.case_rotation.build()
+        """The scenario of this file, which lies at ``path``. Refuses what cannot be simulated by its key."""
+        motion, cases, c, step = self.motion, self.case_rotation, self.compensation, self.run.step
         scenario = PlatformScenario(
             place=self.site,
             duration=self.run.duration,
-            step=self.run.step,
+            step=step,
             seed=self.run.seed,
-            motion=self.motion.build(path.parent),
-            polar_rotation=polar,
-            equatorial_rotation=equatorial,
+            motion=msgspec.structs.replace(motion, file=str(path.parent / motion.file))
+            if motion.file
+            else motion,
+            polar_rotation=cases.rotation(cases.period),
+            equatorial_rotation=cases.rotation(cases.equatorial_period or cases.period),
             polar=self.polar,
             equatorial=self.equatorial,
             redundancy=self.redundancy.initial,
             triad=self.triad.attitude,
             sensors=self.sensors,
-            compensation=self.compensation.build(static=self.motion.kind == "static"),
+            compensation=msgspec.structs.replace(c, models=tuple(dict.fromkeys(c.models))),
             calibration_time=self.identification.duration,
             damping_time=self.navigation.damping_time,
             source=str(path),
         )
-        scenario.check()
+        steps, fastest = scenario.steps, max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate)
+        for wrong, message, remedy in (
+            (
+                motion.kind == "track" and not motion.file,
+                "[motion] kind = 'track' needs a file",
+                "add file = 'track.csv'",
+            ),
+            (not c.models, "[compensation] models is empty", "name one of none, A, B, C"),
+            (
+                motion.kind != "static" and "aligned" in (c.attitude, c.drift),
+                "[compensation] attitude or drift = 'aligned' needs a static base",
+                "write 'true', or [motion] kind = 'static'",
+            ),
+            (
+                steps < 8,
+                f"[run] duration holds {steps} steps; at least 8 are needed",
+                "lengthen the duration or shorten the step",
+            ),
+            (
+                abs(steps * step - scenario.duration) > 1e-6 * scenario.duration,
+                f"[run] duration is not a whole number of steps of {step:g} s",
+                f"write e.g. '{steps * step:g} s'",
+            ),
+            (
+                abs(self.site.latitude) > 1.5,
+                "[site] latitude is within 4 deg of a pole, where the gimbals lock",
+                "choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
+            ),
+            (
+                fastest * step > 0.8,
+                f"[run] step {step:g} s gives fewer than 8 samples per case turn",
+                "shorten the step or lengthen [case_rotation] period",
+            ),
+        ):
+            if wrong:
+                raise ArgumentError(message, remedy=remedy)
         return scenario
 
 

@@ -17,15 +17,7 @@ from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platfo
 from piga.errors import ArgumentError, DataError
 from piga.frames import rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
-from piga.platform.geometry import (
-    earth_to_geodetic,
-    encoder_angle,
-    geodetic_to_earth,
-    gravitation,
-    local_axes,
-    over_case_angle,
-    specific_force_at_rest,
-)
+from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
 from piga.results import Array, Column, Plotted, Result, arrow_table
 from piga.upper import doors
@@ -69,66 +61,54 @@ def base_motion(scenario: PlatformScenario) -> BaseMotion:
     DataError
         If the track file cannot be read, lacks a column or is shorter than the run.
     """
-    plan, times = scenario.motion, scenario.step * np.arange(scenario.steps + 1, dtype=np.float64)
+    plan, at = scenario.motion, scenario.place
+    half = 0.5 * scenario.step * np.arange(2 * scenario.steps + 1, dtype=np.float64)
+    times = half[::2]
     if plan.kind == "track":
-        return _track(plan, scenario)
-    if plan.kind == "sway":
-        place, force, velocity = _around(scenario)
-    else:
-        at = scenario.place
-        place, velocity = np.array([[at.latitude, at.longitude, at.height]]), np.zeros((1, 3))
-        force = specific_force_at_rest(geodetic_to_earth(*place.T))
-    return BaseMotion(force, _attitude(plan, times), place, velocity)
-
-
-def _attitude(plan: MotionPlan, times: Array) -> Array:
-    """Roll, pitch, heading [rad]: (n, 3), or (1, 3) if they stay."""
-    start = np.array([[plan.roll, plan.pitch, plan.heading]])
+        return _track(plan, half)
+    place, velocity = np.array([[at.latitude, at.longitude, at.height]]), np.zeros((1, 3))
+    attitude, position = np.array([[plan.roll, plan.pitch, plan.heading]]), geometry.geodetic_to_earth(*place.T)
+    force = geometry.specific_force_at_rest(position)
     if plan.kind == "turn":
-        turned = np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0]) + start
-        turned[:, 2] = np.arctan2(np.sin(turned[:, 2]), np.cos(turned[:, 2]))
-        return turned
+        attitude = attitude + np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0])
+        attitude[:, 2] = np.arctan2(np.sin(attitude[:, 2]), np.cos(attitude[:, 2]))
     if plan.kind == "sway":
-        sway = (plan.roll_sway, plan.pitch_sway, plan.heading_sway)
-        return start + np.stack([o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in sway], axis=1)
-    return start
-
-
-def _around(scenario: PlatformScenario) -> tuple[Array, Array, Array]:
-    """Place, force and velocity of a point that swings about a fixed one along north, east, down."""
-    at, plan = scenario.place, scenario.motion
-    sway = (plan.north_sway, plan.east_sway, plan.down_sway)
-    half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
-    rate = np.array([2.0 * np.pi / o.period for o in sway])
-    amplitude = np.array([o.amplitude for o in sway])
-    axes = local_axes(at.latitude, at.longitude)
-    sine = amplitude * np.sin(rate * half[:, None])
-    position = geodetic_to_earth(at.latitude, at.longitude, at.height) + sine @ axes.T
-    velocity = (amplitude * rate * np.cos(rate * half[:, None])) @ axes.T
-    return _felt(position, velocity, (-(rate**2) * sine) @ axes.T)
+        tilts = (plan.roll_sway, plan.pitch_sway, plan.heading_sway)
+        waves = [o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in tilts]
+        attitude = attitude + np.stack(waves, axis=1)
+        sway, axes = (
+            (plan.north_sway, plan.east_sway, plan.down_sway),
+            geometry.local_axes(at.latitude, at.longitude),
+        )
+        rate = np.array([2.0 * np.pi / o.period for o in sway])
+        amplitude = np.array([o.amplitude for o in sway])
+        sine = amplitude * np.sin(rate * half[:, None])
+        moving = (amplitude * rate * np.cos(rate * half[:, None])) @ axes.T
+        place, force, velocity = _felt(position + sine @ axes.T, moving, (-(rate**2) * sine) @ axes.T)
+    return BaseMotion(force, attitude, place, velocity)
 
 
 def _felt(position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
     """Place and velocity at the nodes, specific force at the half steps, from Earth-axes motion (2n + 1, 3)."""
     spin = np.array([0.0, 0.0, earth.EARTH_RATE])
     coriolis = 2.0 * np.cross(spin, velocity) + np.cross(spin, np.cross(spin, position))
-    lat, lon, height = earth_to_geodetic(position[::2])
-    level = np.einsum("kji,kj->ki", local_axes(lat, lon), velocity[::2])
-    return np.stack([lat, lon, height], axis=1), acceleration + coriolis - gravitation(position), level
+    lat, lon, height = geometry.earth_to_geodetic(position[::2])
+    level = np.einsum("kji,kj->ki", geometry.local_axes(lat, lon), velocity[::2])
+    return np.stack([lat, lon, height], axis=1), acceleration + coriolis - geometry.gravitation(position), level
 
 
-def _track(plan: MotionPlan, scenario: PlatformScenario) -> BaseMotion:
+def _track(plan: MotionPlan, half: Array) -> BaseMotion:
+    """Motion along a track at the half steps [s] of a run."""
     from scipy.interpolate import CubicSpline
 
     assert plan.file is not None  # noqa: S101 - the reader of the scenario saw to it
     time, place, angles = _read_track(Path(plan.file))
-    half = np.arange(2 * scenario.steps + 1) * (0.5 * scenario.step)
     if time[0] > 0.0 or time[-1] < half[-1]:
         raise DataError(
             f"{plan.file}: the track covers {time[0]:g} s to {time[-1]:g} s, the run needs 0 to {half[-1]:g} s",
             remedy="shorten [run] duration or lengthen the track; its last row needs a line end",
         )
-    path = CubicSpline(time, geodetic_to_earth(*place.T))
+    path = CubicSpline(time, geometry.geodetic_to_earth(*place.T))
     place, force, velocity = _felt(path(half), path(half, 1), path(half, 2))
     return BaseMotion(force, np.ascontiguousarray(CubicSpline(time, angles)(half[::2])), place, velocity)
 
@@ -145,20 +125,15 @@ def _read_track(path: Path) -> tuple[Array, Array, Array]:
             f"[motion] file {error.message}", remedy=f"give these columns, a number in each row: {columns}"
         ) from None
     rows = np.concatenate([chunk.rows for chunk in chunks])
-    table = np.concatenate(
-        [np.column_stack([chunk.numbers[name] for name in _TRACK_COLUMNS]) for chunk in chunks]
-    )
+    table = np.stack([np.concatenate([c.numbers[name] for c in chunks]) for name in _TRACK_COLUMNS], axis=1)
     if len(table) < 4:
         raise DataError(f"[motion] file {path}: {len(table)} rows", remedy="give a header and 4 rows or more")
     for row, column in np.argwhere(~np.isfinite(table)):
+        words = f"row {rows[row]}, column '{_TRACK_COLUMNS[column]}': no number"
+        raise DataError(f"[motion] file {path}: {words}", remedy="correct the row")
+    for row in 1 + np.flatnonzero(np.diff(table[:, 0]) <= 0.0):
         raise DataError(
-            f"[motion] file {path}: row {rows[row]}, column '{_TRACK_COLUMNS[column]}': no number",
-            remedy="correct the row",
-        )
-    still = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
-    if still.size:
-        raise DataError(
-            f"[motion] file {path}: row {rows[still[0] + 1]}: the time does not increase",
+            f"[motion] file {path}: row {rows[row]}: the time does not increase",
             remedy="sort the rows by time, and leave out repeated times",
         )
     place, angles = table[:, 1:4], np.radians(table[:, 4:])
@@ -179,8 +154,7 @@ def mounting_axes(sensors: PigaSensors) -> Array:
     """
     if sensors.mounting == "orthogonal":
         return np.stack([np.roll(np.eye(3), -k, axis=0) for k in range(3)])
-    around = np.arange(3) * (2.0 * np.pi / 3.0)
-    s, c = np.sin(sensors.cone), np.cos(sensors.cone)
+    around, s, c = np.arange(3) * (2.0 * np.pi / 3.0), np.sin(sensors.cone), np.cos(sensors.cone)
     x = np.stack([s * np.cos(around), s * np.sin(around), np.full(3, c)], axis=1)
     y = np.stack([-np.sin(around), np.cos(around), np.zeros(3)], axis=1)
     return np.stack([x, y, np.cross(x, y)], axis=1)
@@ -328,7 +302,7 @@ class PlatformRun(Result, Plotted):
 def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) -> PlatformRun:
     """Simulate the platform of ``scenario``: exact geometry, drift, base motion, readout errors.
 
-    ``motion`` may be given, to share it between runs. The noise depends only on ``scenario.seed``.
+    ``motion`` may be given, to share it between runs. The noise of each channel depends only on ``scenario.seed``.
 
     Raises
     ------
@@ -336,55 +310,48 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
         If the track of a moving base cannot be used.
     """
     motion = base_motion(scenario) if motion is None else motion
-    n, h = scenario.steps, scenario.step
+    s, sensors, n, h = scenario, scenario.sensors, scenario.steps, scenario.step
     increments, force = np.empty((n, 3)), np.empty((n + 1, 3))
     gimbals, ring, eta = np.empty((n + 1, 3)), np.empty(n + 1), np.empty(n + 1)
-    spin = np.empty((n if scenario.sensors.pigas else 0, 3))
-    start = rotation_vector_to_matrix(np.array(scenario.triad)).T
+    spin = np.empty((n if sensors.pigas else 0, 3))
+    start = rotation_vector_to_matrix(np.array(s.triad)).T
     triad = start.copy()
-    gyros = _gyros(scenario)
-    base = Base(motion.force, motion.attitude, np.ascontiguousarray(motion.place[:, :2]), earth.EARTH_RATE)
-    rows = TrueRows(increments, force, gimbals, ring, eta, spin)
-    simulate_platform(gyros, base, 0.0, h, triad, scenario.redundancy, rows)
-    times = h * np.arange(n + 1, dtype=np.float64)
-    if (sensors := scenario.sensors.pigas) is not None:
-        increments = read_increments(sensors, times, gimbal_angles(sensors, times, force, spin))
-    readouts = _read(scenario, times, increments, gimbals, ring, motion.place[:, 2])
-    return PlatformRun(scenario, readouts, Truth(motion, force, eta, start, triad))
-
-
-def _gyros(s: PlatformScenario) -> Gyros:
-    """Both gyros, in the form for the kernel."""
-    turning = (s.polar_rotation, s.equatorial_rotation)
-    return Gyros(
-        over_case_angle(s.polar),
+    gyros = Gyros(
+        geometry.over_case_angle(s.polar),
         s.polar.phase,
-        over_case_angle(s.equatorial),
+        geometry.over_case_angle(s.equatorial),
         s.equatorial.phase,
         np.array([*s.polar.drift, *s.equatorial.drift, *s.polar.case_drift, *s.equatorial.case_drift]),
-        np.array([float(value) for rotation in turning for value in (rotation.rate, rotation.turns)]),
+        np.array(
+            [
+                float(v)
+                for turning in (s.polar_rotation, s.equatorial_rotation)
+                for v in (turning.rate, turning.turns)
+            ]
+        ),
     )
-
-
-def _read(
-    s: PlatformScenario, times: Array, increments: Array, gimbals: Array, ring: Array, height: Array
-) -> Readouts:
-    """Add noise and quantisation to the true readings, each channel from its own random stream."""
-    sensors, h = s.sensors, s.step
+    base = Base(motion.force, motion.attitude, np.ascontiguousarray(motion.place[:, :2]), earth.EARTH_RATE)
+    rows = TrueRows(increments, force, gimbals, ring, eta, spin)
+    simulate_platform(gyros, base, 0.0, h, triad, s.redundancy, rows)
+    times = h * np.arange(n + 1, dtype=np.float64)
+    if sensors.pigas is not None:
+        increments = read_increments(sensors.pigas, times, gimbal_angles(sensors.pigas, times, force, spin))
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(s.seed).spawn(4)]
     walk = sensors.velocity_random_walk * np.sqrt(h)
     increments = _noisy(increments, walk, 0.0, streams[0]) + h * np.array(sensors.accelerometer_bias)
-    increments = _pulses(increments, sensors.increment_quantisation)
-    return Readouts(
+    if (pulse := sensors.increment_quantisation) > 0.0:  # the running sum is rounded, so no velocity is lost
+        increments = np.diff(np.round(np.cumsum(increments, axis=0) / pulse) * pulse, axis=0, prepend=0.0)
+    readouts = Readouts(
         times=times,
         increments=increments,
         gimbals=_noisy(gimbals, sensors.gimbal_noise, sensors.gimbal_quantisation, streams[1]),
         pickoff=_noisy(ring, sensors.pickoff_noise, sensors.pickoff_quantisation, streams[2]),
-        encoder1=encoder_angle(s.polar_rotation, times),
-        encoder2=encoder_angle(s.equatorial_rotation, times),
-        altitude=_noisy(height, sensors.altitude_noise, 0.0, streams[3], len(times)),
+        encoder1=geometry.encoder_angle(s.polar_rotation, times),
+        encoder2=geometry.encoder_angle(s.equatorial_rotation, times),
+        altitude=_noisy(motion.place[:, 2], sensors.altitude_noise, 0.0, streams[3], len(times)),
         turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
+    return PlatformRun(s, readouts, Truth(motion, force, eta, start, triad))
 
 
 def _noisy(
@@ -394,14 +361,6 @@ def _noisy(
     if sigma > 0.0:
         values = values + sigma * stream.standard_normal(rows or values.shape)
     return np.round(values / quantum) * quantum if quantum > 0.0 else values
-
-
-def _pulses(increments: Array, quantum: float) -> Array:
-    """Increments as whole pulses. The running sum is rounded, so no velocity is lost."""
-    if quantum <= 0.0:
-        return increments
-    total = np.round(np.cumsum(increments, axis=0) / quantum) * quantum
-    return np.diff(total, axis=0, prepend=0.0)
 
 
 def number_table(*columns: tuple[str, str, Array]) -> pa.Table:
