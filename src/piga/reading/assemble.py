@@ -174,9 +174,8 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
             note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
     for name, (low, high) in limits.items():
         out = (raw.numbers[name] <= low) | (raw.numbers[name] >= high)
-        raw.leave_out(
-            "saturated", out, f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
-        )
+        detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
+        raw.leave_out("saturated", out, detail)
     leave_out_ranges(raw, data.leave_out)
     t = raw.time(data)
     if data.settle is not None:
@@ -206,12 +205,12 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
         return
     repeated = sum(event.count for event in raw.events if event.kind == "conflicting-row")
     if data.time is not None and 2 * repeated > rows_read:
-        name = data.time.column
-        raise raw.refusal(
-            f"column '{name}' repeats itself in most rows: its times are rounded, or it is not the time",
-            "if they are rounded, give [data] sample_rate = '... Hz' in place of time; otherwise name the column of the time",
-            name,
+        words = "repeats itself in most rows: its times are rounded, or it is not the time"
+        remedy = (
+            "if they are rounded, give [data] sample_rate = '... Hz' in place of time; "
+            "otherwise name the column of the time"
         )
+        raise raw.refusal(f"column '{data.time.column}' {words}", remedy, data.time.column)
     raise raw.refusal("fewer than two usable rows with increasing time", f"check {path}")
 
 

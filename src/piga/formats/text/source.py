@@ -58,15 +58,14 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
     for mark, name in _MARKS:
         if head.startswith(mark):
             return name
-    if _decodes(head, "utf-8"):
+    texts = {name: text for name in ("utf-8", *GUESSED) if (text := _decoded(head, name)) is not None}
+    if "utf-8" in texts:
         return "utf-8"
-    possible = [name for name in GUESSED if _decodes(head, name)]
-    if not possible:
+    if not texts:
         raise refusal(path, "neither UTF-8 nor GB18030 nor cp1252 text", _DECLARE, fixes=_ENCODING)
     names = [name for name in wanted if not name.isascii()]
-    texts = {one: codecs.getincrementaldecoder(one)().decode(head) for one in possible}
     shown = {one: sum(name in text for name in names) for one, text in texts.items()}
-    best = [one for one in possible if shown[one] == max(shown.values())]
+    best = [one for one in texts if shown[one] == max(shown.values())]
     if len(best) == 1:
         return best[0]
     return "cp1252" if looks_western(head) else "gb18030"
@@ -89,14 +88,13 @@ def _declared(declared: str, path: Path) -> str:
     raise refusal(path, words, f"one of: {', '.join(ENCODINGS)}", fixes=_ENCODING)
 
 
-def _decodes(head: bytes, encoding: str) -> bool:
+def _decoded(head: bytes, encoding: str) -> str | None:
     if encoding == "cp1252" and b"\xff" in head:  # the byte of damaged files, and a letter of no log
-        return False
+        return None
     try:
-        codecs.getincrementaldecoder(encoding)().decode(head)
+        return codecs.getincrementaldecoder(encoding)().decode(head)
     except UnicodeDecodeError:
-        return False
-    return True
+        return None
 
 
 _MAX_EXPANSION = 200
