@@ -1,9 +1,8 @@
 """Arrays of a record. An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
 
 A record of any length is therefore read and calibrated with about two columns in memory: the temporaries of one operation.
-The system keeps as much of the files in memory as there is room for, and takes it back when it needs it. The files vanish
-when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR`` names, else in
-``/var/tmp``: the folder for large temporary files, which ``/tmp`` often is not.
+The files vanish when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR``
+names, else in ``/var/tmp``.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 import msgspec
 
@@ -32,21 +32,10 @@ class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     degrees_of_freedom: float | None = None
 
 
-class Given(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class Given(Spread, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """``{ value = "3000 N m/(rad s)", standard = "60 N m/(rad s)" }``: a value with its uncertainty, as in :class:`Spread`."""
 
     value: str | float | int
-    standard: str | float | int | None = None
-    half_width: str | float | int | None = None
-    distribution: Shape = "normal"
-    degrees_of_freedom: float | None = None
-
-    @property
-    def spread(self) -> Spread | None:
-        """The uncertainty of the value; None if none is given."""
-        if self.standard is None and self.half_width is None:
-            return None
-        return Spread(None, self.standard, self.half_width, self.distribution, self.degrees_of_freedom)
 
 
 @dataclass(frozen=True)
@@ -69,10 +58,11 @@ def given_parameter(name: str, given: Given | str | float, like: str, what: str)
     RunFileError, UnitError
         If unit or uncertainty is wrong. The message names the entry.
     """
-    entry = given if isinstance(given, Given) else Given(given)
-    value, spread = to_si(entry.value, like, what=what), entry.spread
-    if spread is None:
+    entry = given if isinstance(given, Given) else Given(value=given)
+    value = to_si(entry.value, like, what=what)
+    if entry.standard is None and entry.half_width is None:
         return GivenParameter(name, value, 0.0, like)
+    spread = Spread(None, entry.standard, entry.half_width, entry.distribution, entry.degrees_of_freedom)
     return GivenParameter(name, value, standard_uncertainty(spread, like, what), like, *shape_of(spread))
 
 
@@ -86,30 +76,26 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
     """
     spread = given if isinstance(given, Spread) else Spread(standard=given)
     named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
-    bounded = spread.distribution in _DIVISORS
+    bounded, shape, nu = spread.distribution in _DIVISORS, spread.distribution, spread.degrees_of_freedom
+
+    def refuse(message: str, remedy: str) -> NoReturn:
+        raise RunFileError(f"{what}: {message}", remedy=remedy)
+
     if len(named) != 1:
-        raise RunFileError(f"{what}: give either standard or half_width", remedy="write exactly one of them")
+        refuse("give either standard or half_width", "write exactly one of them")
     if named == ["value"] and bounded:
-        raise RunFileError(
-            f"{what}: 'value' of a {spread.distribution} distribution could be half-width or standard uncertainty",
-            remedy="write half_width = ... or standard = ...",
-        )
+        why = f"'value' of a {shape} distribution could be half-width or standard uncertainty"
+        refuse(why, "write half_width = ... or standard = ...")
     if named == ["half_width"] and not bounded:
-        raise RunFileError(
-            f"{what}: a {spread.distribution} distribution has no half-width", remedy="give standard"
-        )
-    if spread.distribution == "t" and not (spread.degrees_of_freedom or 0.0) > 2.0:
-        raise RunFileError(
-            f"{what}: distribution 't' needs more than two degrees_of_freedom", remedy="add degrees_of_freedom"
-        )
-    if spread.degrees_of_freedom is not None and not spread.degrees_of_freedom > 0.0:
-        raise RunFileError(f"{what}: degrees_of_freedom must be positive", remedy="leave it out if infinite")
+        refuse(f"a {shape} distribution has no half-width", "give standard")
+    if shape == "t" and not (nu or 0.0) > 2.0:
+        refuse("distribution 't' needs more than two degrees_of_freedom", "add degrees_of_freedom")
+    if nu is not None and not nu > 0.0:
+        refuse("degrees_of_freedom must be positive", "leave it out if infinite")
     size = to_si(getattr(spread, named[0]), like, what=what)
     if size < 0.0:
-        raise RunFileError(
-            f"{what}: '{getattr(spread, named[0])}' is negative", remedy="give a standard uncertainty"
-        )
-    return size / _DIVISORS[spread.distribution] if named == ["half_width"] else size
+        refuse(f"'{getattr(spread, named[0])}' is negative", "give a standard uncertainty")
+    return size / _DIVISORS[shape] if named == ["half_width"] else size
 
 
 def shape_of(given: Spread | str | float) -> tuple[str, float]:

@@ -32,14 +32,10 @@ def open_regular(
 
     Parameters
     ----------
-    path:
-        The file.
-    most:
-        Largest size [bytes]; None: any size, for a file that is read in pieces.
-    wanted:
-        For the message: the file that the user should name instead.
-    error:
-        Class of the error that is raised.
+    path, most:
+        The file, and its largest size [bytes]; None: any size, for a file that is read in pieces.
+    wanted, error:
+        For the message: the file that the user should name instead. Class of the error that is raised.
 
     Raises
     ------
@@ -66,13 +62,7 @@ def _regular(path: Path, wanted: str, error: type[PigaError]) -> os.stat_result:
 
 
 def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -> os.stat_result:
-    """State of a file that must be there and be a regular file.
-
-    Raises
-    ------
-    error
-        If it is not there, or is a folder, a pipe or a device. One sentence.
-    """
+    """State of a file. An error, one sentence, if it is not there, or is a folder, a pipe or a device."""
     try:
         return _regular(path, f"the file: {remedy}", error)
     except OSError as reason:
@@ -80,13 +70,7 @@ def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -
 
 
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
-    """All bytes of a file of at most ``most`` bytes. ``wanted`` tells the user, in the message, which file to name instead.
-
-    Raises
-    ------
-    error
-        If the file cannot be read, is not a regular file, or is larger.
-    """
+    """All bytes of a file of at most ``most`` bytes; arguments and errors as for :func:`open_regular`, but no OSError."""
     try:
         with open_regular(path, most, wanted, error) as stream:
             data = stream.read(most + 1)
@@ -123,13 +107,7 @@ def first_line(error: BaseException) -> str:
 
 
 def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
-    """Refuse a container whose unpacked size is too large.
-
-    Raises
-    ------
-    DataError
-        If a limit is exceeded. The message states the limit.
-    """
+    """Refuse a container whose unpacked size is too large, with a :class:`DataError` that states the limit."""
     if unpacked > _MAX_UNPACKED:
         raise DataError(
             f"{path}: unpacks to more than {_MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 import msgspec
 import numpy as np
@@ -32,6 +32,7 @@ from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.records.text_files import RENAMED
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 from piga.terms import LOGGED_TERMS
+from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -151,13 +152,12 @@ class Run(Result, Plotted, Reported, Tabular):
     def table_columns(self, part: slice = slice(None)) -> dict[str, Column]:
         """The samples as a table in SI; ``part`` takes some rows."""
         columns = {"t": Column(self.t[part], "s"), "output": Column(self.output[part], self.output_unit)}
-        columns |= {f"f{axis}": Column(self.f[part, i], "m/s^2") for i, axis in enumerate("xyz")}
-        if self.base_rate is not None:
-            columns |= {f"w{axis}": Column(self.base_rate[part, i], "rad/s") for i, axis in enumerate("xyz")}
-        if self.temperature is not None:
-            columns["temperature"] = Column(self.temperature[part], "K")
-        if self.vibration is not None:
-            columns["vibration"] = Column(self.vibration[part], "m/s^2")
+        for letter, vectors, unit in (("f", self.f, "m/s^2"), ("w", self.base_rate, "rad/s")):
+            if vectors is not None:
+                columns |= {f"{letter}{axis}": Column(vectors[part, i], unit) for i, axis in enumerate("xyz")}
+        for name in ("temperature", "vibration"):
+            values = getattr(self, name)
+            columns |= {} if values is None else {name: Column(values[part], _UNITS[name])}
         columns["segment"] = Column(self.segment_index[part].astype(np.int32), "1", self.labels)
         return columns | {"row": Column(self.row[part])}
 
@@ -170,24 +170,18 @@ class Run(Result, Plotted, Reported, Tabular):
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the record."""
-        from piga.units import G0
-
-        quality = self.quality
-        optional = {"base rate": self.base_rate, "temperature": self.temperature}
+        named = f"{', '.join(self.labels[:8])}{', ...' if len(self.labels) > 8 else ''}"
+        beside = [
+            name.replace("_", " ") for name in ("base_rate", "temperature") if getattr(self, name) is not None
+        ]
         return [
             ("instrument", self.serial or "not named"),
             ("scale_factor", f"{self.scale_factor * G0:.6g} {self.unit}/g, nominal"),
-            ("samples", f"{self.size} of {quality.rows} rows; output is the {self.quantity}"),
+            ("samples", f"{self.size} of {self.quality.rows} rows; output is the {self.quantity}"),
             ("time", f"{self.t[0]:.6g} to {self.t[-1]:.6g} s, {self.duration:.6g} s recorded"),
-            (
-                "segments",
-                f"{len(self.labels)}: {', '.join(self.labels[:8])}{', ...' if len(self.labels) > 8 else ''}",
-            ),
-            (
-                "beside force",
-                ", ".join(name for name, held in optional.items() if held is not None) or "nothing",
-            ),
-            ("findings", ", ".join(f"{event.count} {event.kind}" for event in quality.events) or "none"),
+            ("segments", f"{len(self.labels)}: {named}"),
+            ("beside force", ", ".join(beside) or "nothing"),
+            ("findings", ", ".join(f"{event.count} {event.kind}" for event in self.quality.events) or "none"),
             ("terms", " ".join(self.model.terms)),
         ]
 
@@ -256,8 +250,6 @@ class Run(Result, Plotted, Reported, Tabular):
             If the unit of ``f`` is not stated, shapes do not match, a sample is not finite or time does not increase (the
             message names argument and index), or if a table is not valid.
         """
-        from piga.units import numbers_are_si
-
         if unit != GYRO:
             check_direct_unit(unit, "unit")
             if base_rate is not None:
@@ -279,7 +271,6 @@ class Run(Result, Plotted, Reported, Tabular):
         }
         t = arrays["t"]
         places, names = _segments(segment, labels, t.size)
-        computed = f is None
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
@@ -290,11 +281,13 @@ class Run(Result, Plotted, Reported, Tabular):
         _check_arrays(arrays, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
-        asked = _table("model", model, ModelTable).of(unit, "model terms")
         budget = _table("uncertainty", uncertainty, UncertaintyTable)
         check_waived(budget)
         with numbers_are_si(si):
             nominal = scale_factor_in(scale_factor, unit)
+        optional: dict[str, Any] = {
+            name: arrays.get(name) for name in ("base_rate", "temperature", "vibration")
+        }
         return cls(
             serial=serial,
             scale_factor=nominal,
@@ -302,9 +295,7 @@ class Run(Result, Plotted, Reported, Tabular):
             t=t,
             output=arrays["output"],
             f=arrays["f"],
-            base_rate=arrays.get("base_rate"),
-            temperature=arrays.get("temperature"),
-            vibration=arrays.get("vibration"),
+            **optional,
             segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
@@ -312,11 +303,11 @@ class Run(Result, Plotted, Reported, Tabular):
             row=row,
             resolution=resolution,
             quality=Quality(rows=t.size, used=t.size, masked=0, events=base.events),
-            model=asked,
+            model=_table("model", model, ModelTable).of(unit, "model terms"),
             estimation=_table("estimation", estimation, EstimationTable),
             uncertainty=budget,
             stand=stand,
-            computed_reference=computed,
+            computed_reference=f is None,
             unit=unit,
         )
 
@@ -421,11 +412,7 @@ class Run(Result, Plotted, Reported, Tabular):
         ArgumentError
             If fewer than two samples are left.
         """
-        from piga.units import si_or_text
-
-        low, high = (
-            si_or_text(at, "s", what="between start" if at is start else "between stop") for at in (start, stop)
-        )
+        low, high = si_or_text(start, "s", what="between start"), si_or_text(stop, "s", what="between stop")
         return self._cut((self.t >= low) & (self.t <= high), f"between {low:g} and {high:g} s")
 
     def segment(self, *labels: str) -> Run:
@@ -456,19 +443,19 @@ class Run(Result, Plotted, Reported, Tabular):
             If a row is not in the record, or fewer than two samples are left.
         """
         named = np.atleast_1d(np.asarray(rows))
-        if named.dtype == np.bool_:
-            if named.shape != (self.size,):
+        if named.dtype != np.bool_:
+            strange = named[~np.isin(named, self.row)]
+            if strange.size:
                 raise ArgumentError(
-                    f"without: {named.size} truth values for {self.size} samples",
-                    remedy="give one truth value per sample, or rows of run.row",
+                    f"without: row {strange[0]} is not in the record", remedy="name rows of run.row"
                 )
-            return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
-        strange = named[~np.isin(named, self.row)]
-        if strange.size:
+            named = np.isin(self.row, named)
+        elif named.shape != (self.size,):
             raise ArgumentError(
-                f"without: row {strange[0]} is not in the record", remedy="name rows of run.row"
+                f"without: {named.size} truth values for {self.size} samples",
+                remedy="give one truth value per sample, or rows of run.row",
             )
-        return self._cut(~np.isin(self.row, named), f"without {named.size} rows")
+        return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
 
     def _cut(self, kept: NDArray[np.bool_], words: str) -> Run:
         """The samples that are kept. A stretch begins where samples before are missing."""
@@ -482,12 +469,8 @@ class Run(Result, Plotted, Reported, Tabular):
         old, place = np.unique(self.segment_index[index], return_inverse=True)
         quality, gone = self.quality, self.size - index.size
         events = (*quality.events, Event("cut", gone, None, words)) if gone else quality.events
-        columns = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        taken: dict[str, Any] = {
-            name: np.ascontiguousarray(values[index])
-            for name, values in columns.items()
-            if isinstance(values, np.ndarray)
-        }
+        columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        taken: dict[str, Any] = {name: np.ascontiguousarray(values[index]) for name, values in columns.items()}
         taken |= {"segment_index": place.astype(np.int32), "begins": begins}
         return replace(
             self,
@@ -521,13 +504,10 @@ def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:
 
 def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) -> Array:
     """An array in SI, contiguous. Without a unit in ``units`` it is in SI already."""
-    from piga.units import conversion_factor, offset_to_si
-
     array = np.ascontiguousarray(values, dtype=float)
     if name not in units:
         return array
-    factor = conversion_factor(units[name], like, what=f"units: {name}")
-    return array * factor + offset_to_si(units[name])
+    return array * conversion_factor(units[name], like, what=f"units: {name}") + offset_to_si(units[name])
 
 
 def _segments(
@@ -579,32 +559,28 @@ def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
 
 def _check_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> None:
     """Refuse arrays that do not fit together. The message names the argument and the first index."""
+
+    def refuse(message: str, remedy: str) -> NoReturn:
+        raise ArgumentError(message, remedy=remedy)
+
     t = arrays["t"]
     if kind not in ("angle", "rate"):
-        raise ArgumentError(
-            f"kind: '{kind}' is neither 'angle' nor 'rate'", remedy="turn counts into an angle first"
-        )
+        refuse(f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first")
     if t.ndim != 1 or t.size < 2:
-        raise ArgumentError(
-            f"t: shape {t.shape}, needs at least two samples in one dimension",
-            remedy="give two or more times, in one dimension",
-        )
+        words = f"t: shape {t.shape}, needs at least two samples in one dimension"
+        refuse(words, "give two or more times, in one dimension")
     for name, array in (arrays | {"segment": segment}).items():
         shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
-            raise ArgumentError(
-                f"{name}: shape {array.shape}, but t has {t.size} samples", remedy=f"give shape {shape}"
-            )
+            refuse(f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}")
     for name, array in arrays.items():
-        finite = np.isfinite(array)
-        if not finite.all():
-            index = int(np.argwhere(~finite)[0][0])
-            raise ArgumentError(f"{name}[{index}] is not finite", remedy="leave such samples out")
-    step = np.diff(t)
-    same = np.diff(segment) == 0
-    if (same & (step <= 0.0)).any():
-        index = int(np.argmax(same & (step <= 0.0))) + 1
-        raise ArgumentError(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", remedy="sort by time")
+        if not np.isfinite(array).all():
+            index = int(np.argwhere(~np.isfinite(array))[0][0])
+            refuse(f"{name}[{index}] is not finite", "leave such samples out")
+    back = (np.diff(segment) == 0) & (np.diff(t) <= 0.0)
+    if back.any():
+        index = int(np.argmax(back)) + 1
+        refuse(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", "sort by time")
 
 
 _LONG_INTERVAL = 1.5
@@ -648,16 +624,8 @@ def drop_repeats(
 ) -> list[Event]:
     """Clear ``usable`` for rows with a repeated time: the second of two identical rows, both of two conflicting rows.
 
-    Parameters
-    ----------
-    t, segment:
-        Time [s] and segment index of every row, shape (n,).
-    usable:
-        False for rows that were masked before (missing values). This array is changed.
-    values:
-        All columns, to distinguish identical rows from conflicting ones.
-    rows:
-        File row of each sample, for the messages.
+    The arrays are (n,), one entry for each row: ``values`` are all columns, to distinguish identical rows from conflicting
+    ones; ``rows`` are file rows, for the messages.
     """
     clean = bool(usable.all())  # a long column is not copied for nothing
     at, places = (t, segment) if clean else (t[usable], segment[usable])
@@ -678,8 +646,7 @@ def drop_repeats(
 
 def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) -> TimeBase:
     """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
-    same = np.zeros(t.size, np.bool_)
-    same[1:] = segment[1:] == segment[:-1]
+    same = np.append(False, segment[1:] == segment[:-1])
     step = empty(t.size)
     step[:1] = 0.0
     np.subtract(t[1:], t[:-1], out=step[1:])

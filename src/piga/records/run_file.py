@@ -7,6 +7,7 @@ data: keys, types, units, names of terms, and options that contradict each other
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -80,18 +81,23 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def in_si(self, where: str) -> dict[str, Any]:
         """SI values of the keys whose type has a unit (:func:`in_unit`). Keys without a value are left out.
 
-        A list with one unit gives a tuple.
+        A list with one unit gives a tuple, a column the factor of its unit.
 
         ``where`` stands before the key in messages, e.g. ``"[stand] "``.
         """
-        values: dict[str, Any] = {}
-        for key, unit in units_of(type(self)).items():
-            value, what = getattr(self, key), f"{where}{key}"
-            if isinstance(value, tuple):
-                values[key] = tuple(to_si(one, unit, what=what) for one in value)
-            elif value is not None:
-                values[key] = to_si(value, unit, what=what)
-        return values
+        stated = {
+            key: (getattr(self, key), unit, f"{where}{key}") for key, unit in units_of(type(self)).items()
+        }
+        return {key: self._si(*entry) for key, entry in stated.items() if entry[0] is not None}
+
+    def _si(self, value: Any, unit: str, what: str) -> Any:
+        if isinstance(value, (Columns, ColumnTable)):
+            return conversion_factor(value.unit, unit, what=what)
+        return (
+            tuple(self._si(v, unit, what) for v in value)
+            if isinstance(value, tuple)
+            else to_si(value, unit, what=what)
+        )
 
 
 @cache
@@ -127,17 +133,21 @@ class ServoTable(TomlTable, frozen=True):
             if (given := getattr(self, name)) is not None
         )
         for entry in given_ones:
-            positive = entry.name in ("integral_gain", "pendulosity", "angular_momentum")
-            _need(
-                entry.value > 0.0 or (entry.value == 0.0 and not positive),
-                f"[instrument] servo.{entry.name}: must be {'positive' if positive else 'zero or more'}",
-                "correct the value: the terms of the servo need a servo with integral gain",
+            least = (
+                "positive"
+                if entry.name in ("integral_gain", "pendulosity", "angular_momentum")
+                else "zero or more"
             )
-        _need(
-            (self.pendulosity is None) != (self.angular_momentum is None),
-            "[instrument] servo: one of pendulosity and angular_momentum is needed",
-            "give exactly one: the pendulosity is scale_factor times the angular momentum",
-        )
+            if entry.value < 0.0 or (entry.value == 0.0 and least == "positive"):
+                raise RunFileError(
+                    f"[instrument] servo.{entry.name}: must be {least}",
+                    remedy="correct the value: the terms of the servo need a servo with integral gain",
+                )
+        if (self.pendulosity is None) == (self.angular_momentum is None):
+            raise RunFileError(
+                "[instrument] servo: one of pendulosity and angular_momentum is needed",
+                remedy="give exactly one: the pendulosity is scale_factor times the angular momentum",
+            )
         return given_ones
 
 
@@ -355,6 +365,9 @@ class UncertaintyTable(TomlTable, frozen=True):
     rate_repeatability: Any = None
     levelling_repeatability: Any = None
 
+    def _si(self, value: Any, unit: str, what: str) -> float:
+        return standard_uncertainty(value, unit, what)
+
     def of_the_stand(self) -> dict[str, Any]:
         """The stand-specific entries of this table."""
         general = (*UNCERTAINTY_UNITS, "reference_id", "waived")
@@ -426,10 +439,8 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     return msgspec.structs.replace(run_file, model=run_file.model.of(run_file.unit))
 
 
-def _need(met: bool, message: str, remedy: str) -> None:
-    """Refuse a file in which this is not met."""
-    if not met:
-        raise RunFileError(message, remedy=remedy)
+_Faults = Iterator[tuple[str, str]]
+"""What is wrong, and the remedy."""
 
 
 def check_run_file(run_file: RunFile) -> None:
@@ -442,75 +453,90 @@ def check_run_file(run_file: RunFile) -> None:
     """
     if run_file.instrument.serial:
         check_label(run_file.instrument.serial, "[instrument] serial")
-    _check_output(run_file)
-    _check_quantities(run_file)
-    stated = run_file.uncertainty.of_the_stand()
-    _need(
-        not stated or run_file.stand is not None,
-        f"[uncertainty] {next(iter(stated), '')}: belongs to a stand, but there is no [stand] table",
-        "add [stand] kind = '...', latitude = '...' and its positions or levels",
-    )
-    _check_rows(run_file.data)
+    _refuse(_faults(run_file))
     run_file.model.of(run_file.unit)
     for terms in run_file.model.compare:
         check_terms(terms, where="[model] compare", output=run_file.unit)
 
 
-def _check_output(run_file: RunFile) -> None:
-    data, instrument, output = run_file.data, run_file.instrument, run_file.data.output
+def _refuse(faults: _Faults) -> None:
+    for message, remedy in faults:
+        raise RunFileError(message, remedy=remedy)
+
+
+def _faults(run_file: RunFile) -> _Faults:
+    """Faults of a run file, those of its output first. Units of a wrong kind raise."""
+    data, instrument, model = run_file.data, run_file.instrument, run_file.model
+    yield from _faults_of_output(run_file)
+    if (data.time is None) == (data.sample_rate is None):
+        yield "[data] needs either time or sample_rate", "e.g. time = { column = 't_s', unit = 's' }"
+    if data.sample_rate is not None and not to_si(data.sample_rate, "Hz", what="[data] sample_rate") > 0.0:
+        yield "[data] sample_rate: must be positive", "e.g. '100 Hz'"
+    if data.decimal is not None and data.decimal == data.delimiter:
+        yield "[data] decimal and delimiter are the same character", "correct one of them"
+    what = "[instrument] scale_factor"
+    if not scale_factor_in(instrument.scale_factor, run_file.unit, what) > 0.0:
+        yield f"{what}: must be positive", "use a positive value; reverse X0 in the reference"
+    if instrument.servo is not None:
+        instrument.servo.parameters()
+    if data.time is not None:
+        if (data.time.unit is None) == (data.time.stamp is None):
+            yield (
+                "[data] time: give either unit or stamp",
+                "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
+            )
+        if data.time.unit is not None:
+            conversion_factor(data.time.unit, "s", what="[data] time")
+    settle = data.in_si("[data] ").get("settle", 0.0)
+    run_file.uncertainty.in_si("[uncertainty] ")
+    yield from _faults_of_waived(run_file.uncertainty)
+    model.in_si("[model] ")
+    if not model.tolerance > 0.0:
+        yield "[model] scale_factor_tolerance: must be positive", 'e.g. "2 %"'
+    yield from _faults_of_noise(run_file)
+    stated = run_file.uncertainty.of_the_stand()
+    if stated and run_file.stand is None:
+        yield (
+            f"[uncertainty] {next(iter(stated))}: belongs to a stand, but there is no [stand] table",
+            "add [stand] kind = '...', latitude = '...' and its positions or levels",
+        )
+    yield from _faults_of_rows(data)
+    if settle < 0.0:
+        yield "[data] settle: must be zero or more", "e.g. '20 s'"
+
+
+def _faults_of_output(run_file: RunFile) -> _Faults:
+    instrument, output = run_file.instrument, run_file.data.output
+    counts, unit = instrument.counts_per_revolution, output.unit or ""
     gyro = instrument.kind == "gyro"
     if not gyro:
-        _check_direct(run_file)
-    elif output.counted:
-        counts = instrument.counts_per_revolution
-        _need(
-            counts is not None,
-            "[instrument] counts_per_revolution is missing, but [data] output is in counts",
-            "add it",
-        )
-        _need(
-            counts is None or _LEAST_COUNTS <= counts <= _MOST_COUNTS,
-            f"[instrument] counts_per_revolution: must be positive, {_LEAST_COUNTS:g} to {_MOST_COUNTS:g}",
-            "correct it",
-        )
-    if output.counted:
-        _need(
-            output.unit in (None, "count", "counts", "1"),
-            f"[data] output: unit '{output.unit}' cannot be used with kind '{output.kind}'",
+        yield from _faults_of_direct(run_file)
+    elif output.counted and counts is None:
+        yield "[instrument] counts_per_revolution is missing, but [data] output is in counts", "add it"
+    elif output.counted and counts is not None and not _LEAST_COUNTS <= counts <= _MOST_COUNTS:
+        reach = f"{_LEAST_COUNTS:g} to {_MOST_COUNTS:g}"
+        yield f"[instrument] counts_per_revolution: must be positive, {reach}", "correct it"
+    if output.counted and unit not in ("", "count", "counts", "1"):
+        yield (
+            f"[data] output: unit '{unit}' cannot be used with kind '{output.kind}'",
             "leave the unit out, or set kind to 'angle' or 'rate'",
         )
-    else:
-        like = "rad" if output.kind == "angle" else "rad/s"
-        unit = output.unit or ""
-        _need(bool(unit), f"[data] output: kind '{output.kind}' needs a unit", f"add unit = '{like}'")
-        if gyro:
-            conversion_factor(unit, like, what="[data] output")
-        else:
-            check_direct_unit(unit, "[data] output")
+    like = "rad" if output.kind == "angle" else "rad/s"
+    if not output.counted and not unit:
+        yield f"[data] output: kind '{output.kind}' needs a unit", f"add unit = '{like}'"
+    if not output.counted and gyro:
+        conversion_factor(unit, like, what="[data] output")
+    elif not output.counted:
+        check_direct_unit(unit, "[data] output")
     if output.wraps_at is not None:
-        _need(
-            output.kind == "angle",
-            "[data] output: wraps_at is for kind 'angle'",
-            "for counts give [instrument] counter_bits",
-        )
-        _need((output.fold or 0.0) > 0.0, "[data] output: wraps_at must be positive", "e.g. '360 deg'")
-    _need(
-        (data.time is None) != (data.sample_rate is None),
-        "[data] needs either time or sample_rate",
-        "e.g. time = { column = 't_s', unit = 's' }",
-    )
-    if data.sample_rate is not None:
-        hertz = to_si(data.sample_rate, "Hz", what="[data] sample_rate")
-        _need(hertz > 0.0, "[data] sample_rate: must be positive", "e.g. '100 Hz'")
-    _need(
-        data.decimal is None or data.decimal != data.delimiter,
-        "[data] decimal and delimiter are the same character",
-        "correct one of them",
-    )
+        if output.kind != "angle":
+            yield "[data] output: wraps_at is for kind 'angle'", "for counts give [instrument] counter_bits"
+        if not (output.fold or 0.0) > 0.0:
+            yield "[data] output: wraps_at must be positive", "e.g. '360 deg'"
 
 
-def _check_direct(run_file: RunFile) -> None:
-    """Refuse what belongs to the gimbal of a gyro accelerometer."""
+def _faults_of_direct(run_file: RunFile) -> _Faults:
+    """What belongs to the gimbal of a gyro accelerometer."""
     data, instrument = run_file.data, run_file.instrument
     belongs = {
         "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
@@ -518,9 +544,8 @@ def _check_direct(run_file: RunFile) -> None:
         "[data] base_rate": data.base_rate is not None,
         "[data] output: kind 'angle'": data.output.kind == "angle",
     }
-    for key, given in belongs.items():
-        _need(
-            not given,
+    for key in (key for key, given in belongs.items() if given):
+        yield (
             f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'",
             "kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out",
         )
@@ -534,62 +559,25 @@ def check_direct_unit(unit: str, what: str) -> None:
     RunFileError, UnitError
         The message begins with ``what``.
     """
-    _need(
-        not parse_unit(unit).dimension[2] and unit != GYRO,
-        f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
-        "declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
-    )
-
-
-def _check_quantities(run_file: RunFile) -> None:
-    """Check each quantity of the tables, against the unit that its type declares."""
-    data, estimation, instrument = run_file.data, run_file.estimation, run_file.instrument
-    what = "[instrument] scale_factor"
-    _need(
-        scale_factor_in(instrument.scale_factor, run_file.unit, what) > 0.0,
-        f"{what}: must be positive",
-        "use a positive value; reverse X0 in the reference",
-    )
-    if instrument.servo is not None:
-        instrument.servo.parameters()
-    if data.time is not None:
-        _need(
-            (data.time.unit is None) != (data.time.stamp is None),
-            "[data] time: give either unit or stamp",
-            "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
+    if parse_unit(unit).dimension[2] or unit == GYRO:
+        raise RunFileError(
+            f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
+            remedy="declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
         )
-        if data.time.unit is not None:
-            conversion_factor(data.time.unit, "s", what="[data] time")
-    _check_table(data, "[data]")
-    _check_table(run_file.uncertainty, "[uncertainty]")
-    check_waived(run_file.uncertainty)
-    _check_table(run_file.model, "[model]")
-    _need(run_file.model.tolerance > 0.0, "[model] scale_factor_tolerance: must be positive", 'e.g. "2 %"')
-    count = integral_unit(run_file.unit)
-    for name, like in (("angle_rms", count), ("angle_random_walk", f"{count}/sqrt(s)")):
+
+
+def _faults_of_noise(run_file: RunFile) -> _Faults:
+    estimation, count = run_file.estimation, integral_unit(run_file.unit)
+    levels = {"angle_rms": count, "angle_random_walk": f"{count}/sqrt(s)"}
+    for name, like in levels.items():
         value = getattr(estimation, name)
-        _need(
-            value is None or to_si(value, like, what=f"[estimation] {name}") >= 0.0,
-            f"[estimation] {name}: '{value}' is negative",
-            "give a standard deviation",
+        if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
+            yield f"[estimation] {name}: '{value}' is negative", "give a standard deviation"
+    if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
+        yield (
+            "[estimation] angle_rms and angle_random_walk: one of them is missing",
+            "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
         )
-    _need(
-        (estimation.angle_rms is None) == (estimation.angle_random_walk is None),
-        "[estimation] angle_rms and angle_random_walk: one of them is missing",
-        "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
-    )
-
-
-def _check_table(table: TomlTable, where: str) -> None:
-    """Check that each value of a table has a unit of the kind that its type declares (:func:`in_unit`)."""
-    for key, like in units_of(type(table)).items():
-        value, what = getattr(table, key), f"{where} {key}"
-        if isinstance(value, (Columns, ColumnTable)):
-            conversion_factor(value.unit, like, what=what)
-        elif isinstance(table, UncertaintyTable) and value is not None:
-            standard_uncertainty(value, like, what)
-        elif value is not None:
-            to_si(value, like, what=what)
 
 
 ASSUMED_SOURCES = ("earth_rate", "height", "servo")
@@ -604,44 +592,35 @@ def check_waived(uncertainty: UncertaintyTable) -> None:
     RunFileError
         The message names the source.
     """
+    _refuse(_faults_of_waived(uncertainty))
+
+
+def _faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:
     where, entries = "[uncertainty] waived", msgspec.structs.asdict(uncertainty)
     known = (*(name for name in entries if name not in ("reference_id", "waived")), *ASSUMED_SOURCES)
     for name, reason in uncertainty.waived.items():
-        _need(name in known, f"{where}: there is no source '{name}'", f"sources: {', '.join(known)}")
-        _need(entries.get(name) is None, f"{where}: '{name}' is stated too", "leave one of the two out")
-        _need(
-            bool(reason.strip()) and len(reason.splitlines()) == 1,
-            f"{where}: '{name}' needs a reason in one line",
-            f'e.g. waived = {{ {name} = "why" }}',
-        )
+        if name not in known:
+            yield f"{where}: there is no source '{name}'", f"sources: {', '.join(known)}"
+        if entries.get(name) is not None:
+            yield f"{where}: '{name}' is stated too", "leave one of the two out"
+        if not reason.strip() or len(reason.splitlines()) != 1:
+            yield f"{where}: '{name}' needs a reason in one line", f'e.g. waived = {{ {name} = "why" }}'
 
 
-def _check_rows(data: DataTable) -> None:
-    """Check what says which rows are read and how."""
+def _faults_of_rows(data: DataTable) -> _Faults:
+    """Faults of what says which rows are read and how."""
     numbers = data.number_columns()
     for name, (low, high) in (data.range or {}).items():
-        _need(
-            name in numbers,
-            f"[data] range: '{name}' is not a column in use",
-            f"columns are: {', '.join(numbers)}",
+        if name not in numbers:
+            yield f"[data] range: '{name}' is not a column in use", f"columns are: {', '.join(numbers)}"
+        if not low < high:
+            yield f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them"
+    if data.label_column in numbers:
+        yield (
+            f"[data] segment: '{data.segment}' is a number column that is in use already",
+            "name another column for the segments",
         )
-        _need(low < high, f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them")
-    settle = 0.0 if data.settle is None else to_si(data.settle, "s", what="[data] settle")
-    _need(settle >= 0.0, "[data] settle: must be zero or more", "e.g. '20 s'")
-    _need(
-        data.label_column not in numbers,
-        f"[data] segment: '{data.segment}' is a number column that is in use already",
-        "name another column for the segments",
-    )
     for word in data.missing:
-        _need(
-            not _is_a_number(word),
-            f"[data] missing: '{word}' is a number",
-            "a number cannot mark a missing value: use range",
-        )
-
-
-def _is_a_number(word: str) -> bool:
-    with suppress(ValueError):
-        return math.isfinite(float(word))
-    return False
+        with suppress(ValueError):
+            if math.isfinite(float(word)):
+                yield f"[data] missing: '{word}' is a number", "a number cannot mark a missing value: use range"

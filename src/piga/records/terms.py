@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import NoReturn
 
 from piga.errors import RunFileError
 from piga.terms import HARMONICS, TERMS, Term
@@ -14,18 +15,8 @@ from piga.units import ARCSEC, parse_unit, to_si
 UNITS = {name: term.unit for name, term in TERMS.items()}
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
 
-SI_UNITS = {
-    "1": "1",
-    "rad": "rad",
-    "1/K": "1/K",
-    "rad/s/g": "rad/s/(m/s^2)",
-    "g": "m/s^2",
-    "g/g^2": "1/(m/s^2)",
-    "g/g^3": "1/(m/s^2)^2",
-    "g/s": "m/s^2/s",
-    "g/K": "m/s^2/K",
-}
-"""SI unit of each unit in :data:`UNITS`."""
+_SI_UNITS = {"g": "m/s^2", "g/g^2": "1/(m/s^2)", "g/g^3": "1/(m/s^2)^2", "g/s": "m/s^2/s", "g/K": "m/s^2/K"}
+"""SI unit of the units that begin with g. In others ``/g`` is per m/s^2."""
 
 TERM_WORDS = TERMS | HARMONICS
 """Every term in words, in the order of the docs. ``sn`` and ``cn`` stand for the harmonics s1 c1 s2 c2 and so on."""
@@ -87,16 +78,12 @@ def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -
     UnitError
         If the text has a unit of another kind.
     """
-    return _in_unit(value, f"{unit}/g", unit, what)
+    return level_in(value, unit, what, f"{unit}/g")
 
 
-def level_in(value: str | float, unit: str, what: str = "noise") -> float:
-    """A level of the output in this unit, from text with any unit of its kind. Raises as :func:`scale_factor_in`."""
-    return _in_unit(value, unit, unit, what)
-
-
-def _in_unit(value: str | float, like: str, unit: str, what: str) -> float:
-    number = to_si(value, like, what=what)
+def level_in(value: str | float, unit: str, what: str = "noise", like: str = "") -> float:
+    """A level of the output in this unit, from text with any unit of its kind (``like``). Raises as :func:`scale_factor_in`."""
+    number = to_si(value, like or unit, what=what)
     return number / parse_unit(unit).factor if isinstance(value, str) else number
 
 
@@ -152,7 +139,7 @@ def si_factor(name: str) -> float:
 def si_unit_of(name: str, output: str = GYRO) -> str:
     """SI unit of a coefficient; ``name`` may carry a segment in brackets. ``output`` as for :func:`unit_of`."""
     unit = unit_of(name, output)
-    return SI_UNITS.get(unit) or unit.replace("/g", "/(m/s^2)")
+    return _SI_UNITS.get(unit) or unit.replace("/g", "/(m/s^2)")
 
 
 def check_name(name: str) -> bool:
@@ -194,30 +181,25 @@ def check_terms(terms: tuple[str, ...], *, where: str = "terms", output: str = G
         For an unknown or repeated name, a harmonic without its partner, k1 beside scale_factor, or a term of the other kind
         of instrument.
     """
+
+    def refuse(message: str, remedy: str = "leave it out") -> NoReturn:
+        raise RunFileError(f"{where}: {message}", remedy=remedy)
+
     if not terms:
-        raise RunFileError(f"{where}: no term is asked for", remedy="e.g. ['scale_factor', 'tan_beta', 'k0']")
+        refuse("no term is asked for", "e.g. ['scale_factor', 'tan_beta', 'k0']")
     for name in terms:
-        if name == "phi":
-            raise RunFileError(f"{where}: 'phi' comes with tan_beta", remedy="leave it out")
-        if not check_name(name):
-            raise RunFileError(f"{where}: unknown term '{name}'", remedy=known_terms(name))
-        if terms.count(name) > 1:
-            raise RunFileError(f"{where}: '{name}' is named twice", remedy="name it once")
         wave = harmonic(name)
-        if output != GYRO and turns(name):
-            raise RunFileError(
-                f"{where}: '{name}' turns with the gimbal of a gyro accelerometer, and the instrument is direct",
-                remedy="leave it out",
-            )
         partner = wave and ("c" if wave[0] == "s" else "s") + str(wave[1])
+        if name == "phi":
+            refuse("'phi' comes with tan_beta")
+        if not check_name(name):
+            refuse(f"unknown term '{name}'", known_terms(name))
+        if terms.count(name) > 1:
+            refuse(f"'{name}' is named twice", "name it once")
+        if output != GYRO and turns(name):
+            refuse(f"'{name}' turns with the gimbal of a gyro accelerometer, and the instrument is direct")
         if partner and partner not in terms:
-            raise RunFileError(
-                f"{where}: '{name}' without '{partner}': the zero of the output angle is unknown, so one of "
-                "the two alone has no meaning",
-                remedy=f"add '{partner}'",
-            )
+            alone = "the zero of the output angle is unknown, so one of the two alone has no meaning"
+            refuse(f"'{name}' without '{partner}': {alone}", f"add '{partner}'")
     if "k1" in terms and "scale_factor" in terms:
-        raise RunFileError(
-            f"{where}: 'k1' and 'scale_factor' are the same coefficient (K (1 + k1))",
-            remedy="leave one of them out",
-        )
+        refuse("'k1' and 'scale_factor' are the same coefficient (K (1 + k1))", "leave one of them out")

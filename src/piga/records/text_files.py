@@ -62,38 +62,20 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         characters.
     """
     try:
-        text = (toml_bytes(path) if raw is None else raw).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RunFileError(
-            f"{path}: byte {error.start} is not UTF-8", remedy=_wrong_file(path) or "save the file as UTF-8"
-        ) from None
-    try:
-        document = tomllib.loads(text)
+        document = tomllib.loads((toml_bytes(path) if raw is None else raw).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise RunFileError(
-            f"{path}: not valid TOML: {str(error)[:300]}",
-            remedy=_wrong_file(path) or "see https://toml.io for the syntax",
-        ) from None
+        fault, remedy = f"not valid TOML: {str(error)[:300]}", "see https://toml.io for the syntax"
+        if isinstance(error, UnicodeDecodeError):
+            fault, remedy = f"byte {error.start} is not UTF-8", "save the file as UTF-8"
+        if path.suffix.lower() not in (".toml", ""):
+            remedy = "give a TOML file; for the log of a test 'piga init' drafts the run file"
+        raise RunFileError(f"{path}: {fault}", remedy=remedy) from None
     _check_values(path, document, "")
     return _with_new_names(path, document)
 
 
-def _wrong_file(path: Path) -> str:
-    """Remedy if a file with another ending than ``.toml`` is no TOML; otherwise empty."""
-    if path.suffix.lower() in (".toml", ""):
-        return ""
-    return "give a TOML file; for the log of a test 'piga init' drafts the run file"
-
-
 RENAMED = {("model", "phase"): "phases"}
 """Keys that had another name before: the new name by table and old name. Files with the old name are read."""
-
-_REMOVED = {
-    ("run", "earth_tide"): (
-        "is not simulated any more", "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
-    )
-}  # fmt: skip
-"""Keys that are gone: what happened and what to do instead, by table and key."""
 
 
 def written_key(raw: bytes, table: str, key: str) -> str:
@@ -104,18 +86,16 @@ def written_key(raw: bytes, table: str, key: str) -> str:
 
 
 def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    for (table, key), (reason, remedy) in _REMOVED.items():
-        if isinstance(document.get(table), dict) and key in document[table]:
-            raise RunFileError(f"{path}: [{table}] {key} {reason}", remedy=remedy)
+    if isinstance(document.get("run"), dict) and "earth_tide" in document["run"]:
+        remedy = "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
+        raise RunFileError(f"{path}: [run] earth_tide is not simulated any more", remedy=remedy)
     for (table, old), new in RENAMED.items():
         entries = document.get(table)
         if not isinstance(entries, dict) or old not in entries:
             continue
         if new in entries:
-            raise RunFileError(
-                f"{path}: [{table}]: '{old}' is the former name of '{new}', and both are given",
-                remedy=f"leave '{old}' out",
-            )
+            words = f"'{old}' is the former name of '{new}', and both are given"
+            raise RunFileError(f"{path}: [{table}]: {words}", remedy=f"leave '{old}' out")
         document[table] = {new if key == old else key: value for key, value in entries.items()}
     return document
 
@@ -129,17 +109,15 @@ def _check_values(path: Path, value: object, where: str) -> None:
     elif isinstance(value, list):
         for part in value:
             _check_values(path, part, where)
-    elif isinstance(value, str) and _CONTROL.search(value):
-        raise RunFileError(
-            f"{path}: [{where}]: {value[:40]!r} holds a control character",
-            remedy="use letters, digits and signs",
-        )
+    fault, remedy = "", "correct the value"
+    if isinstance(value, str) and _CONTROL.search(value):
+        fault, remedy = f"{value[:40]!r} holds a control character", "use letters, digits and signs"
     elif isinstance(value, float) and LARGEST < abs(value) < math.inf:
-        raise RunFileError(
-            f"{path}: [{where}]: {value:g} is too large to compute with", remedy="correct the value"
-        )
+        fault = f"{value:g} is too large to compute with"
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
-        raise RunFileError(f"{path}: [{where}]: an integer of more than 64 bits", remedy="correct the value")
+        fault = "an integer of more than 64 bits"
+    if fault:
+        raise RunFileError(f"{path}: [{where}]: {fault}", remedy=remedy)
 
 
 def files_named_in(path: Path) -> list[Path]:

@@ -10,7 +10,7 @@ import pytest
 
 import piga
 from piga.records.calibration import Coefficient
-from piga.records.terms import SI_UNITS, UNITS, si_factor
+from piga.records.terms import UNITS, si_factor, si_unit_of
 from piga.units import G0, parse_unit
 from tests.short_record import pickled
 
@@ -49,7 +49,9 @@ def test_si_is_a_number_that_copies(cal):
     for again in (pickled(bias), copy.copy(bias), copy.deepcopy(bias)):
         assert (again, again.std, again.unit) == (bias, bias.std, "m/s^2")
     assert repr(bias).endswith(" m/s^2")
-    assert set(UNITS.values()) <= set(SI_UNITS)
+    for name, unit in UNITS.items():
+        assert parse_unit(si_unit_of(name)).factor == 1.0
+        assert parse_unit(si_unit_of(name)).dimension == parse_unit(unit).dimension
 
 
 def test_the_instrument_of_a_calibration(cal):

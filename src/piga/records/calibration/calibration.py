@@ -101,6 +101,15 @@ class Provenance(Result):
     options: dict[str, Any] = field(default_factory=dict)
 
 
+def _figure(name: str, words: str) -> Callable[..., Figure]:
+    def draw(self: CalibrationPlots, ax: Axes | Sequence[Axes] | None = None) -> Figure:
+        return drawn(doors().shown_calibration().figures(self.calibration)[name](), ax)
+
+    draw.__name__, draw.__doc__ = name, words
+    return draw
+
+
+@dataclass(frozen=True)
 class CalibrationPlots:
     """Figures of a calibration. See :func:`piga.results.drawn` for ``ax``.
 
@@ -110,47 +119,17 @@ class CalibrationPlots:
         If the calibration has no data for the figure, for instance no residuals after reading calibration.json.
     """
 
-    def __init__(self, calibration: Calibration) -> None:
-        self._calibration = calibration
+    calibration: Calibration
 
-    def _draw(self, name: str, ax: Axes | Sequence[Axes] | None) -> Figure:
-        return drawn(doors().shown_calibration().figures(self._calibration)[name](), ax)
-
-    def residuals(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Residuals against time, before and after calibration: two panels."""
-        return self._draw("residuals", ax)
-
-    def orders(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Ripple that the residuals show, against revolution order."""
-        return self._draw("orders", ax)
-
-    def ripple(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Ripple around the turn of the output: two panels."""
-        return self._draw("ripple", ax)
-
-    def segments(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Residuals of each segment."""
-        return self._draw("segments", ax)
-
-    def creep(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Residual rate against the time since the start of the position."""
-        return self._draw("creep", ax)
-
-    def budget(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Share of each source in the variance of each coefficient."""
-        return self._draw("budget", ax)
-
-    def allan(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Allan deviation of the residual rate, with the noise of the model."""
-        return self._draw("allan", ax)
-
-    def whiteness(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Tests of the whitened residual."""
-        return self._draw("whiteness", ax)
-
-    def convergence(self, ax: Axes | Sequence[Axes] | None = None) -> Figure:
-        """Estimates while the record comes in, for method "recursive"."""
-        return self._draw("convergence", ax)
+    residuals = _figure("residuals", "Residuals against time, before and after calibration: two panels.")
+    orders = _figure("orders", "Ripple that the residuals show, against revolution order.")
+    ripple = _figure("ripple", "Ripple around the turn of the output: two panels.")
+    segments = _figure("segments", "Residuals of each segment.")
+    creep = _figure("creep", "Residual rate against the time since the start of the position.")
+    budget = _figure("budget", "Share of each source in the variance of each coefficient.")
+    allan = _figure("allan", "Allan deviation of the residual rate, with the noise of the model.")
+    whiteness = _figure("whiteness", "Tests of the whitened residual.")
+    convergence = _figure("convergence", 'Estimates while the record comes in, for method "recursive".')
 
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)
@@ -263,28 +242,24 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def table_columns(self) -> dict[str, Column]:
         """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
-        texts: dict[str, Callable[[Coefficient], str]] = {
-            "coefficient": lambda c: c.key,
-            "name": lambda c: c.name,
-            "segment": lambda c: c.segment or "",
-            "run": lambda c: c.run or "",
-            "unit": lambda c: c.unit,
-            "unit_si": lambda c: c.si.unit,
+        names = ("coefficient", "name", "segment", "run", "unit", "unit_si")
+        texts = [(c.key, c.name, c.segment or "", c.run or "", c.unit, c.si.unit) for c in self.coefficients]
+        units = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
+        units |= {
+            "degrees_of_freedom": "1",
+            "value_si": "as in column unit_si",
+            "std_si": "as in column unit_si",
         }
-        numbers: dict[str, tuple[Callable[[Coefficient], float], str]] = {
-            "value": (lambda c: c.value, "as in column unit"),
-            "std": (lambda c: c.std, "as in column unit"),
-            "expanded": (lambda c: c.expanded, "as in column unit"),
-            "low": (lambda c: c.limits[0], "as in column unit"),
-            "high": (lambda c: c.limits[1], "as in column unit"),
-            "degrees_of_freedom": (lambda c: c.degrees_of_freedom, "1"),
-            "value_si": (lambda c: c.value_si, "as in column unit_si"),
-            "std_si": (lambda c: c.si.std, "as in column unit_si"),
-        }
-        rows = self.coefficients
-        columns = {name: Column(np.array([*map(of, rows)], dtype=object)) for name, of in texts.items()}
+        numbers = np.array(
+            [
+                (c.value, c.std, c.expanded, *c.limits, c.degrees_of_freedom, c.value_si, c.si.std)
+                for c in self.coefficients
+            ],
+            dtype=float,
+        )
+        columns = {n: Column(np.array(v, object)) for n, v in zip(names, zip(*texts, strict=True), strict=True)}
         return columns | {
-            name: Column(np.array([*map(of, rows)], float), unit) for name, (of, unit) in numbers.items()
+            name: Column(values, unit) for (name, unit), values in zip(units.items(), numbers.T, strict=True)
         }
 
     def table_notes(self) -> tuple[str, ...]:

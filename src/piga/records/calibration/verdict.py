@@ -1,13 +1,12 @@
 """The verdict on a calibration: a grade, one reason, the doubts, what was tested and what was not.
 
-Report page, terminal, ``repr``, calibration.json, the certificate's working copy, the light of the workbench and the
-warnings of :func:`piga.calibrate` all show this verdict. No other code judges a calibration as a whole.
+Every page, terminal, file and warning shows this verdict. No other code judges a calibration as a whole.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -91,8 +90,11 @@ class Verdict:
     @property
     def sources(self) -> str:
         """What the uncertainties contain: ``Type A and 1 of 9 sources``."""
-        count = len(self.stated) + len(self.unstated)
-        return _in_budget(len(self.stated), count) if count else "no source of the stand is known"
+        return (
+            _in_budget(self.stated, self.unstated)
+            if self.stated or self.unstated
+            else "no source of the stand is known"
+        )
 
     @property
     def warns_of_noise(self) -> bool:
@@ -133,22 +135,17 @@ def verdict(calibration: Calibration) -> Verdict:
         *_whiteness(calibration),  # after what may be its cause
         *_separation(calibration),
         *_rows(calibration),
+        *_unstated(calibration),
     ]
-    statements += _unstated(calibration)
     doubts = [item for item in statements if isinstance(item, Doubt)]
     doubts.sort(key=lambda doubt: not doubt.grave)
     return Verdict(
         doubts=tuple(doubts),
         tested=tuple(item for item in statements if isinstance(item, str)),
         not_tested=tuple(_not_tested(calibration)),
-        stated=_names(calibration.sources, "stated", "bounded"),
+        stated=_names(calibration.sources, *_STATED),
         unstated=_names(calibration.sources, "unstated", "assumed"),
     )
-
-
-def _in_budget(stated: int, count: int) -> str:
-    """What the uncertainties contain, of ``count`` sources of the stand that are not waived."""
-    return f"Type A and {stated} of {count} sources"
 
 
 def whitened_rms(calibration: Calibration) -> float:
@@ -198,7 +195,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
         return
     chance, neighbours = tests.ljung_box_probability, tests.lag1_correlation or 0.0
-    shown = "p < 1e-300" if chance < 1e-300 else f"p = {chance:.2g}"
+    tested = f"(Ljung-Box, {'p < 1e-300' if chance < 1e-300 else f'p = {chance:.2g}'})"
     contained = "the intervals come from the scatter of the positions, which contains it"
     within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
     if tests.verdict == COUNTED:
@@ -207,17 +204,14 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             f"{tests.counting_probability:.2g})"
         )
     elif tests.verdict == "white":
-        yield f"the whitened residuals are white (Ljung-Box, {shown})"
+        yield f"the whitened residuals are white {tested}"
     else:
-        slow = tests.verdict == SLOW_COUNTS
-        what = f"the whitened residuals are {SLOW_COUNTS if slow else 'not white'} (Ljung-Box, {shown})"
-        remedy = (
-            "sample at another rate, or take other angles or levels"
-            if slow
-            else "look for suggested terms"
-            if calibration.direct
-            else "look for lines in the residuals by revolution order, and for suggested terms"
-        )
+        what, remedy = f"the whitened residuals are not white {tested}", "look for suggested terms"
+        if tests.verdict == SLOW_COUNTS:
+            what = f"the whitened residuals are {SLOW_COUNTS} {tested}"
+            remedy = "sample at another rate, or take other angles or levels"
+        elif not calibration.direct:
+            remedy = "look for lines in the residuals by revolution order, and for suggested terms"
         if within and abs(neighbours) > _CORRELATED:
             size = math.sqrt((1.0 + abs(neighbours)) / max(1.0 - abs(neighbours), 1e-3))
             yield Doubt(
@@ -226,15 +220,13 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             )
         else:
             yield f"{what}: {contained}; {remedy}"
+    size_words = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
     if abs(rms - 1.0) <= RMS_FROM_ONE:
         yield f"the whitened residuals are of size one ({rms:.3f})"
     elif _by_positions(calibration):
-        yield f"the whitened residuals have a root mean square of {rms:.3f} instead of 1: {contained}"
+        yield f"{size_words}: {contained}"
     else:
-        yield Doubt(
-            f"the whitened residuals have a root mean square of {rms:.3f} instead of 1",
-            "check the noise levels that were given, and the residuals of single segments",
-        )
+        yield Doubt(size_words, "check the noise levels that were given, and the residuals of single segments")
 
 
 def _by_positions(calibration: Calibration) -> bool:
@@ -280,20 +272,27 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
 
 
+_STATED = "stated", "bounded"
+
+
 def _names(sources: tuple[StandSource, ...], *statuses: str) -> tuple[str, ...]:
     return tuple(source.name for status in statuses for source in sources if source.status == status)
+
+
+def _in_budget(stated: Sized, unstated: Sized) -> str:
+    """What the uncertainties contain of the sources of the stand that are not waived."""
+    return f"Type A and {len(stated)} of {len(stated) + len(unstated)} sources"
 
 
 def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
     """The sources of the stand that nobody stated, with the largest effects of one unit."""
     sources = calibration.sources
     open_ones = [source for source in sources if source.status in ("unstated", "assumed")]
-    count = sum(source.status != "waived" for source in sources)
-    stated = sum(source.status in ("stated", "bounded") for source in sources)
+    contained = f"the uncertainties contain {_in_budget(_names(sources, *_STATED), open_ones)}"
     if open_ones:
         alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
         yield Doubt(
-            f"{alone}The uncertainties contain {_in_budget(stated, count)}; not stated: "
+            f"{alone}T{contained[1:]}; not stated: "
             f"{', '.join(map(_open_words, open_ones))}{_largest_effects(calibration, open_ones)}",
             'state them in [uncertainty], or waive one with a reason: waived = { timing = "clock of the laboratory" }',
         )
@@ -302,7 +301,7 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
             TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
         )
     elif sources:
-        yield f"the uncertainties contain {_in_budget(stated, count)} of the stand"
+        yield f"{contained} of the stand"
     yield from (_open_words(source) for source in sources if source.status == "bounded")
     waived = [f"{source.name} ({source.reason})" for source in sources if source.status == "waived"]
     if waived:
@@ -315,20 +314,17 @@ def _open_words(source: StandSource) -> str:
 
 def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> str:
     """The largest effects of one unit of the sources, in standard uncertainties of the coefficient."""
-    named = {c.key: c for c in calibration.coefficients if c.std > 0.0}
     effects = [
-        (
-            abs(change) / named[key].std,
-            f"1 {source.unit} of {component} changes {key} by {f'{change:.2g}'.replace('e-0', 'e-')}",
-            named[key],
-        )
+        (abs(change) / c.std, f"1 {source.unit} of {component} changes {c.key} by {change:.2g} {c.unit}")
         for source in sources
         for component, changes in source.effects.items()
         for key, change in changes.items()
-        if key in named and source.status == "unstated"
+        if source.status == "unstated" and (c := calibration[key]).std > 0.0
     ]
     effects.sort(key=lambda effect: -effect[0])
-    words = [f"{text} {c.unit}".removesuffix(" 1") + f", {size:.2g} u" for size, text, c in effects[:EXAMPLES]]
+    words = [
+        f"{text.removesuffix(' 1').replace('e-0', 'e-')}, {size:.2g} u" for size, text in effects[:EXAMPLES]
+    ]
     return f". {'; '.join(words)}" if words else ""
 
 
