@@ -338,7 +338,7 @@ def test_what_is_asked_for_is_estimated_even_where_it_is_given():
         ({"integral_gain": "-1 N m/(rad s)", "pendulosity": "0.009 kg m"}, "integral_gain: must be positive"),
         ({"integral_gain": "3 N m", "pendulosity": "0.009 kg m"}, "integral_gain"),
         (
-            {"integral_gain": Given("3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": "1 kg m"},
+            {"integral_gain": Given(value="3 N m/(rad s)", standard="-1 N m/(rad s)"), "pendulosity": "1 kg m"},
             "is negative",
         ),
     ],
@@ -350,7 +350,7 @@ def test_faults_of_the_servo_table_are_named(servo, message):
 
 def test_servo_table_in_si():
     table = ServoTable(
-        Given("3 N m/(rad s)", half_width="0.3 N m/(rad s)", distribution="rectangular"),
+        Given(value="3 N m/(rad s)", half_width="0.3 N m/(rad s)", distribution="rectangular"),
         pendulosity="9e-3 kg m",
     )
     gain, lever = table.parameters()

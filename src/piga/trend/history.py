@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coefficient import TYPE_A_ONLY, coverage_factor, is_of_reference
+from piga.records.calibration.coefficient import TYPE_A_ONLY, coverage_factor
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn
@@ -31,6 +31,7 @@ from piga.trend.trend_line import (
     Step,
     TrendModel,
     clearest_step,
+    merge_by_day,
     moving_average,
     outlook,
     trend_model,
@@ -66,8 +67,8 @@ class Point:
     day: int
     value: float
     std: float
-    own: float
     expanded: float
+    own: float
     own_half_width: float
     score: float
     forecast: Forecast | None
@@ -186,12 +187,13 @@ class CoefficientTrend(Result):
             shown, low, high = (_to_two_digits_of(half, end) for end in (value, value - half, value + half))
             unit = f"{unit} per year".removeprefix("1 ")
             yield f"{self.key} drifts by {shown} {unit} (95 %: {low} to {high})."
-        if chdtrc(line.degrees_of_freedom, line.chi2) < TREND.doubt:
+        nu, times = line.degrees_of_freedom, math.sqrt(line.chi2 / line.degrees_of_freedom)
+        if chdtrc(nu, line.chi2) < TREND.doubt:
             yield (
-                f"{self.key}: days scatter {(line.chi2 / line.degrees_of_freedom) ** 0.5:.1f} times as much as the records' "
-                "own uncertainties explain. The excess counts as day-to-day instability."
+                f"{self.key}: days scatter {times:.1f} times as much as the records' own uncertainties explain. "
+                "The excess counts as day-to-day instability."
             )
-        elif chdtr(line.degrees_of_freedom, line.chi2) < TREND.doubt:
+        elif chdtr(nu, line.chi2) < TREND.doubt:
             yield (
                 f"{self.key}: days scatter less than the records' own uncertainties say: these are stated too "
                 "large, or contain a part that the records share."
@@ -335,22 +337,12 @@ class _Records:
         doubt = np.array([c.std**4 / c.degrees_of_freedom for c in coefficients]) - doubt
         degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
         half = np.asarray(coverage_factor(degrees)) * own
-        model = trend_model(self.years, values, own**2, self.days, shared)
+        model = trend_model(merge_by_day(self.years, values, own**2, self.days, shared))
         forecasts, scores, day_scores = self._expected(values, own, shared)
+        lists = (part.tolist() for part in (self.years, self.days, own, half, scores))
         points = tuple(
-            Point(
-                record=self.names[i],
-                time=float(self.years[i]),
-                day=int(self.days[i]),
-                value=c.value,
-                std=c.std,
-                own=float(own[i]),
-                expanded=c.expanded,
-                own_half_width=float(half[i]),
-                score=float(scores[i]),
-                forecast=forecasts[i],
-            )
-            for i, c in enumerate(coefficients)
+            Point(name, time, day, c.value, c.std, c.expanded, *rest)
+            for name, c, time, day, *rest in zip(self.names, coefficients, *lists, forecasts, strict=True)
         )
         chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
         step = clearest_step(model.days)
@@ -377,9 +369,8 @@ class _Records:
         forecasts: list[Forecast | None] = [None] * values.size
         for day in range(TREND.least_days, count):
             before, today = self.days < day, np.flatnonzero(self.days == day)
-            model = trend_model(
-                self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
-            )
+            earlier = self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
+            model = trend_model(merge_by_day(*earlier))
             for i in today.tolist():
                 forecast = model.record_at(float(self.years[i]), float(own[i]), shared[:, i])
                 forecasts[i], scores[i] = forecast, forecast.score(float(values[i]))
@@ -403,10 +394,7 @@ class _Records:
                 "The records were calibrated with different terms: a coefficient may have taken over what another "
                 "record left to a term of its own."
             )
-        alone = sum(
-            not any(row.type == "B" and is_of_reference(row.source) for row in one.budget)
-            for one in calibrations
-        )
+        alone = sum(one.type_a_only for one in calibrations)
         if alone:
             yield f"{alone} of {n} records: {TYPE_A_ONLY}."
         without = sum(not len(calibration.budget) for calibration in calibrations)

@@ -9,8 +9,8 @@ Derivations and coverage: docs/theory/trend.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
@@ -144,11 +144,6 @@ class Line(Result):
     chi2: float
     degrees_of_freedom: int
 
-    @property
-    def excess_std(self) -> float:
-        """Standard uncertainty of the excess, ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``."""
-        return math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
-
     def at(self, time: float) -> tuple[float, float, Array]:
         """Value of a line without step, its variance from the scatter, and the effect (sources,) of common errors."""
         part = np.array([1.0, time - self.origin])
@@ -270,36 +265,35 @@ class TrendModel(Result):
     @property
     def drift(self) -> Forecast | None:
         """Change per year, None with fewer than three days."""
-        line = self.line
-        if line is None:
+        if (line := self.line) is None:
             return None
-        common = float(np.sum(line.shared[1] ** 2))
-        parts = ((float(line.covariance[1, 1]), line.degrees_of_freedom), (common, math.inf))
-        return _combined(1.0, float(line.coefficients[1]), parts)
+        parts = (line.covariance[1, 1], line.degrees_of_freedom), (np.sum(line.shared[1] ** 2), math.inf)
+        return _combined(1.0, line.coefficients[1], parts)
 
     def record_at(self, time: float, own: float, shared: Array) -> Forecast:
         """Forecast of a record by the line; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
-        day, days = own**2, self.days
-        if days.freedom:
-            day = min(day, float(np.median(days.variances)))
-        return self.at(time, day, shared, days.within + own**2 - day)
+        usual = float(np.median(self.days.variances)) if self.days.freedom else math.inf
+        day = min(own**2, usual)
+        return self.at(time, day, shared, self.days.within + own**2 - day)
 
     def at(self, time: float, day: float, shared: Array, inside: float = 0.0) -> Forecast:
         """Forecast by the line of a value with variances ``day`` between days and ``inside`` within the day.
 
         The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
-        needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's
-        variance is therefore added. In simulation this keeps the intervals near 95 %.
+        needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's variance,
+        ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``, is therefore added. In simulation this keeps the intervals
+        near 95 %.
         """
         line = self.line
         if line is None:
             raise _TOO_FEW
         value, variance, common = line.at(time)
-        doubt = 0.5 * line.excess_std * max(0.0, 1.0 - day / line.stated)
+        unsure = math.sqrt(2.0 / line.degrees_of_freedom) * (line.excess + line.stated)
+        doubt = 0.5 * unsure * max(0.0, 1.0 - day / line.stated)
         parts = (
             (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
             (inside, self.days.freedom or math.inf),
-            (float(np.sum((common - shared) ** 2)), math.inf),
+            (np.sum((common - shared) ** 2), math.inf),
         )
         return _combined(time, value, parts)
 
@@ -307,19 +301,16 @@ class TrendModel(Result):
 _TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
 
 
-def _combined(time: float, value: float, parts: tuple[tuple[float, float], ...]) -> Forecast:
+def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
     """Forecast from independent variances with their degrees of freedom."""
-    stds = np.sqrt([variance for variance, _ in parts])
-    freedom = float(welch_satterthwaite(stds, np.array([nu for _, nu in parts], dtype=float)))
-    return Forecast(time, value, float(np.sqrt(np.sum(stds**2))), freedom)
+    variances, degrees = np.array(parts, dtype=float).T
+    freedom = float(welch_satterthwaite(np.sqrt(variances), degrees))
+    return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
 
 
-def trend_model(
-    time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array
-) -> TrendModel:
-    """Days and line of records; arguments as for :func:`merge_by_day`."""
-    merged = merge_by_day(time, values, variances, days, shared)
-    return TrendModel(merged, line_through(merged) if merged.time.size >= TREND.least_days else None)
+def trend_model(days: Days) -> TrendModel:
+    """Days, and the line through them."""
+    return TrendModel(days, line_through(days) if days.time.size >= TREND.least_days else None)
 
 
 def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Array, Array]:
@@ -398,9 +389,7 @@ class Outlook(Result):
             weights += model.weight * np.linalg.solve(model.factor.T, on_days)
         chance = np.array([model.weight for model in self.models])
         mean = float(chance @ values)
-        common = weights @ days.shared
-        if shared is not None:
-            common = common - shared
+        common = weights @ days.shared - (0.0 if shared is None else shared)
         spread = float(chance @ (np.array(variances) + (np.array(values) - mean) ** 2))
         return Forecast(time, mean, math.sqrt(max(spread, 0.0) + float(np.sum(common**2))), math.inf)
 
@@ -431,11 +420,11 @@ def outlook(days: Days) -> Outlook:
                 still, moving = part * (1.0 - share), part * share / unit
                 factor = np.linalg.cholesky(np.diag(days.variances + still) + moving * shape)
                 chances.append(_log_likelihood(factor, design, days.means) - math.log(len(shares)))
-                models.append(_Model(cause, still, moving, factor, 0.0))
+                models.append((cause, still, moving, factor))
     weights = np.exp(np.array(chances) - max(chances))
     weights[weights < _LEAST_WEIGHT * weights.sum()] = 0.0
-    pairs = zip(models, (weights / weights.sum()).tolist(), strict=True)
-    return Outlook(days, tuple(replace(model, weight=weight) for model, weight in pairs if weight > 0.0))
+    weighted = zip(models, (weights / weights.sum()).tolist(), strict=True)
+    return Outlook(days, tuple(_Model(*model, weight) for model, weight in weighted if weight > 0.0))
 
 
 def _design(time: Array) -> Array:

@@ -292,17 +292,16 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        if library is not None and library not in _LIBRARIES:
+        if library not in (None, *_LIBRARIES):
             raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(_LIBRARIES)}")
-        chosen: str = library or next(
-            (name for name in _LIBRARIES if find_spec(name) is not None), _LIBRARIES[0]
-        )
-        needed(chosen)
+        chosen: str = library or next(filter(find_spec, _LIBRARIES), _LIBRARIES[0])
+        package = needed(chosen)
         scale = np.array([si_factor(c.name) if si else 1.0 for c in self.coefficients])
         values = scale * np.array([c.value for c in self.coefficients])
         covariance = np.outer(scale, scale) * self.covariance
-        numbers = _uncertainties if chosen == "uncertainties" else _gtc
-        return dict(zip(self, numbers(self, values, covariance), strict=True))
+        if chosen == "uncertainties":
+            return dict(zip(self, package.correlated_values(values, covariance, tags=list(self)), strict=True))
+        return dict(zip(self, _gtc(self, values, covariance), strict=True))
 
     def to_xarray(self) -> xr.Dataset:
         """The coefficients and their covariance as an xarray data set. Each variable has its unit in ``attrs["units"]``.
@@ -451,14 +450,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         from piga.records.calibration.document import read_with_digest
 
         return read_with_digest(Path(path))[0]
-
-
-def _uncertainties(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:
-    from uncertainties import correlated_values_norm
-
-    std = np.sqrt(np.diag(covariance))
-    pairs = list(zip(values.tolist(), std.tolist(), strict=True))
-    return list(correlated_values_norm(pairs, correlation(covariance), tags=list(calibration)))
 
 
 def _gtc(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:

@@ -314,12 +314,13 @@ def _open_words(source: StandSource) -> str:
 
 def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> str:
     """The largest effects of one unit of the sources, in standard uncertainties of the coefficient."""
+    named = {c.key: c for c in calibration.coefficients if c.std > 0.0}
     effects = [
-        (abs(change) / c.std, f"1 {source.unit} of {component} changes {c.key} by {change:.2g} {c.unit}")
+        (abs(change) / c.std, f"1 {source.unit} of {component} changes {key} by {change:.2g} {c.unit}")
         for source in sources
         for component, changes in source.effects.items()
         for key, change in changes.items()
-        if source.status == "unstated" and (c := calibration[key]).std > 0.0
+        if source.status == "unstated" and (c := named.get(key))
     ]
     effects.sort(key=lambda effect: -effect[0])
     words = [
