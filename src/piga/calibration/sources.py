@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
-from piga.records.arrays import copied, empty, norms, scaled, spans
+from piga.records.arrays import empty, norms, scaled, spans
 from piga.records.calibration import StandSource
 from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
@@ -112,7 +112,7 @@ def _assumed(run: Run, size: float) -> Iterator[Source]:
         half = size * EARTH_RATE / math.sqrt(3.0)
         shown = EARTH_RATE / math.sqrt(3.0)
         upwards = scaled(run.f.T, half / G0).T
-        across = copied(upwards)
+        across = scaled(upwards.T, 1.0).T
         across[:, 0], across[:, 1] = -upwards[:, 1], upwards[:, 0]
         for name, rate in (("upwards", upwards), ("across", across)):
             fields = {"base_rate": rate}

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design, joined_rows
 from piga.calibration.model.reduction import Reduction, triangle
-from piga.records.arrays import empty, largest_size, spans, zeros
+from piga.records.arrays import empty, largest_size, spans, stored
 from piga.records.run import Run
 from piga.results import Array
 
@@ -248,7 +248,7 @@ def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
-    d, h = zeros(design.run.size), zeros(design.run.size)
+    d, h = stored(np.zeros(design.run.size)), stored(np.zeros(design.run.size))
     for block in design.blocks():
         rows = slice(block.start, block.stop)
         d[rows] = block.columns[-1] - values[block.segment] @ block.columns[:-1]

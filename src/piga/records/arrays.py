@@ -67,13 +67,6 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArra
         return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
 
 
-def zeros(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """A new array of zeros."""
-    made = empty(shape, dtype)
-    made[...] = 0
-    return made
-
-
 def stored(values: NDArray[Any]) -> NDArray[Any]:
     """The same values; in a file if they are large. For results that are kept: temporaries need no file."""
     if values.nbytes <= LARGE_BYTES:
@@ -114,13 +107,6 @@ def largest_size(values: NDArray[Any]) -> float:
 def norms(f: NDArray[Any]) -> NDArray[np.float64]:
     """Norms (n,) of vectors (n, 3)."""
     return np.sqrt(np.einsum("ij,ij->i", f, f))
-
-
-def copied(f: NDArray[Any]) -> NDArray[np.float64]:
-    """A copy of vectors (n, 3). Each axis is contiguous."""
-    made = empty(f.shape[::-1]).T
-    made[...] = f
-    return made
 
 
 def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:

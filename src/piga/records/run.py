@@ -26,7 +26,8 @@ from piga.records.run_file import (
     ModelTable,
     UncertaintyTable,
     check_direct_unit,
-    check_waived,
+    faults_of_waived,
+    refuse,
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.records.text_files import RENAMED
@@ -282,7 +283,7 @@ class Run(Result, Plotted, Reported, Tabular):
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         budget = _table("uncertainty", uncertainty, UncertaintyTable)
-        check_waived(budget)
+        refuse(faults_of_waived(budget))
         with numbers_are_si(si):
             nominal = scale_factor_in(scale_factor, unit)
         optional: dict[str, Any] = {
@@ -516,9 +517,9 @@ def _segments(
     """Index of the segment of each sample, and the labels."""
     given = np.zeros(size, np.int32) if segment is None else np.asarray(segment)
     if given.dtype.kind in "OUS":
-        words = list(dict.fromkeys(str(name) for name in given))
-        codes = np.array([words.index(str(name)) for name in given], dtype=np.int32)
-        return segments_of_visits(codes, words)
+        places: dict[str, int] = {}
+        codes = [places.setdefault(str(name), len(places)) for name in given]
+        return segments_of_visits(np.array(codes, dtype=np.int32), list(places))
     names, index = np.unique(given, return_inverse=True)
     if labels is not None and len(labels) != names.size:
         raise ArgumentError(
@@ -560,27 +561,27 @@ def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
 def _check_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> None:
     """Refuse arrays that do not fit together. The message names the argument and the first index."""
 
-    def refuse(message: str, remedy: str) -> NoReturn:
+    def wrong(message: str, remedy: str) -> NoReturn:
         raise ArgumentError(message, remedy=remedy)
 
     t = arrays["t"]
     if kind not in ("angle", "rate"):
-        refuse(f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first")
+        wrong(f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first")
     if t.ndim != 1 or t.size < 2:
         words = f"t: shape {t.shape}, needs at least two samples in one dimension"
-        refuse(words, "give two or more times, in one dimension")
+        wrong(words, "give two or more times, in one dimension")
     for name, array in (arrays | {"segment": segment}).items():
         shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
-            refuse(f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}")
+            wrong(f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}")
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             index = int(np.argwhere(~np.isfinite(array))[0][0])
-            refuse(f"{name}[{index}] is not finite", "leave such samples out")
+            wrong(f"{name}[{index}] is not finite", "leave such samples out")
     back = (np.diff(segment) == 0) & (np.diff(t) <= 0.0)
     if back.any():
         index = int(np.argmax(back)) + 1
-        refuse(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", "sort by time")
+        wrong(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", "sort by time")
 
 
 _LONG_INTERVAL = 1.5

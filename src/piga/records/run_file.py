@@ -453,13 +453,14 @@ def check_run_file(run_file: RunFile) -> None:
     """
     if run_file.instrument.serial:
         check_label(run_file.instrument.serial, "[instrument] serial")
-    _refuse(_faults(run_file))
+    refuse(_faults(run_file))
     run_file.model.of(run_file.unit)
     for terms in run_file.model.compare:
         check_terms(terms, where="[model] compare", output=run_file.unit)
 
 
-def _refuse(faults: _Faults) -> None:
+def refuse(faults: _Faults) -> None:
+    """Raise the first fault as a :class:`RunFileError`."""
     for message, remedy in faults:
         raise RunFileError(message, remedy=remedy)
 
@@ -489,7 +490,7 @@ def _faults(run_file: RunFile) -> _Faults:
             conversion_factor(data.time.unit, "s", what="[data] time")
     settle = data.in_si("[data] ").get("settle", 0.0)
     run_file.uncertainty.in_si("[uncertainty] ")
-    yield from _faults_of_waived(run_file.uncertainty)
+    yield from faults_of_waived(run_file.uncertainty)
     model.in_si("[model] ")
     if not model.tolerance > 0.0:
         yield "[model] scale_factor_tolerance: must be positive", 'e.g. "2 %"'
@@ -584,18 +585,8 @@ ASSUMED_SOURCES = ("earth_rate", "height", "servo")
 """Sources with a size that piga assumes if nobody states it. They can be waived, too."""
 
 
-def check_waived(uncertainty: UncertaintyTable) -> None:
-    """Refuse a waived source that does not exist, that is stated too, or that has no reason in one line.
-
-    Raises
-    ------
-    RunFileError
-        The message names the source.
-    """
-    _refuse(_faults_of_waived(uncertainty))
-
-
-def _faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:
+def faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:
+    """A waived source that does not exist, that is stated too, or that has no reason in one line."""
     where, entries = "[uncertainty] waived", msgspec.structs.asdict(uncertainty)
     known = (*(name for name in entries if name not in ("reference_id", "waived")), *ASSUMED_SOURCES)
     for name, reason in uncertainty.waived.items():

@@ -121,21 +121,12 @@ class Residuals(Result, Plotted, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """One row for each used sample. ``segment`` and ``run`` are indices."""
-        columns = {
-            "row": Column(self.row),
-            "segment": Column(self.segment),
-            "t": Column(self.t, "s"),
-            **(
-                {"psi": Column(self.psi, "rad")}
-                if self.unit.startswith("rad")
-                else {"output": Column(self.psi)}
-            ),
-            "a_x": Column(self.a_x, "m/s^2"),
-            "before": Column(self.before, self.unit),
-            "after": Column(self.after, self.unit),
-            "innovation": Column(self.innovation),
-        }
-        return columns if self.run is None else columns | {"run": Column(self.run)}
+        angle = self.unit.startswith("rad")
+        units = {"row": "1", "segment": "1", "t": "s", "psi": "rad" if angle else "1", "a_x": "m/s^2"}
+        units |= {"before": self.unit, "after": self.unit, "innovation": "1"}
+        units |= {} if self.run is None else {"run": "1"}
+        columns = {name: Column(getattr(self, name), unit) for name, unit in units.items()}
+        return {"output" if name == "psi" and not angle else name: column for name, column in columns.items()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -440,9 +440,10 @@ def _number(given: float | str, unit: str, what: str) -> float:
 
 
 def _given_nominal(named: tuple[Coefficient, ...], given: float | str | None, unit: str) -> float:
-    estimated = next((c.value_si for c in named if c.name == "scale_factor"), None)
-    with numbers_are_si(True):
-        nominal = estimated if given is None else scale_factor_in(given, unit, f"{_GIVEN} scale_factor_nominal")
+    nominal = next((c.value_si for c in named if c.name == "scale_factor"), None)
+    if given is not None:
+        with numbers_are_si(True):
+            nominal = scale_factor_in(given, unit, f"{_GIVEN} scale_factor_nominal")
     if nominal is None:
         raise _refusal("there is no scale factor", "add 'scale_factor' or scale_factor_nominal")
     if not nominal > 0.0:
