@@ -52,6 +52,10 @@ def _coefficient(document: dict, name: str) -> dict:
     return next(c for c in document["coefficients"] if c["name"] == name)
 
 
+def _emptied(document: dict) -> None:
+    document["covariance"] = {"names": [], "matrix": []}
+
+
 def _scaled(document: dict, row: int, factor: float) -> None:
     """One row and column of the covariance times a factor, its diagonal by the square of it."""
     matrix = document["covariance"]["matrix"]
@@ -89,6 +93,7 @@ IMPOSSIBLE = [
     (lambda d: d["covariance"]["matrix"][0].__setitem__(1, 1.0), "not symmetric"),
     (_second_scale_factor, "the coefficient 'scale_factor' occurs twice"),
     (lambda d: _coefficient(d, "scale_factor").update(value=0.0), "scale_factor.*must be positive"),
+    (lambda d: (d["coefficients"].clear(), d["model"]["terms"].clear(), _emptied(d)), "no coefficient"),
     (lambda d: _coefficient(d, "scale_factor").update(value=-0.8884), "scale_factor.*must be positive"),
     (lambda d: _coefficient(d, "tan_beta").update(value=-1e-3), "tan_beta.*must not be negative"),
     (lambda d: d["instrument"]["scale_factor_nominal"].update(value=0.0), "scale_factor_nominal"),

@@ -250,28 +250,32 @@ def _calibration(document: Any) -> Calibration:
     output = document.instrument.scale_factor_nominal.unit.rpartition("/")[0]
     is_angle = not output or parse_unit(output).dimension == parse_unit(GYRO).dimension
     unit = GYRO if is_angle else output
-    likes, values = _units(unit), {}
+    likes, stated = _units(unit), {}
     for field, (section, key, _) in _PLACES.items():
         value = getattr(getattr(document, section) if section else document, key)
-        if field in likes and value is not msgspec.UNSET:
-            same = value.unit == likes[field] or not likes[field]
-            values[field] = value.value * (1.0 if same else conversion_factor(value.unit, likes[field]))
-        elif value is not msgspec.UNSET:
-            values[field] = value
+        if value is not msgspec.UNSET:
+            stated[field] = value
+    values = {field: value.value if field in likes else value for field, value in stated.items()}
     values["condition"] = math.inf if values["condition"] is None else values["condition"]
     values["scale_factor_nominal"] *= si_factor("scale_factor")
-    matrix = document.covariance.matrix
     calibration = Calibration(**values | {"covariance": np.empty((0, 0))}, unit=unit)
     wrong = next(_faults(calibration, document.covariance), None)
     if wrong is not None:
         raise CalibrationError(wrong, remedy="get the file from its author, or calibrate again")
-    return replace(calibration, covariance=np.array(matrix, dtype=float).reshape(len(matrix), -1))
+    scaled = {
+        field: values[field] * conversion_factor(stated[field].unit, like)
+        for field, like in likes.items()
+        if like and field in values and stated[field].unit != like
+    }
+    return replace(calibration, covariance=np.array(document.covariance.matrix, dtype=float), **scaled)
 
 
 def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
     """What a record cannot say, and contradictions between its parts."""
     if c.serial:
         check_label(c.serial, "the serial")
+    if not c.coefficients:
+        yield "there is no coefficient"
     for k in c.coefficients:
         yield from _faults_of(k, c.unit)
     if not c.scale_factor_nominal > 0.0:
