@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -84,6 +85,8 @@ _DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9.]*,[0-9]")
 _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")
 
 
+_OF_NUMBER = re.compile(rf"(?<=[0-9)]) (?=(?:u|sqrt|{'|'.join(map(re.escape, _ATOMS))})(?![A-Za-z0-9]))")
+"""The space between a number and its unit, or the u of an uncertainty."""
 _UNIT_REMEDY = f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()"
 _MOST_LETTERS = 200
 """Characters of a unit: parentheses are read by recursion."""
@@ -364,3 +367,22 @@ UNIT_FACTORS = (
     UnitFactor(10.0),
 )
 """Factors between units that are often confused, the four edges of a quadrature encoder, and a slip of the decimal point."""
+
+
+def wrapped(text: str, width: int, first: str = "", later: str = "") -> list[str]:
+    """Lines of at most ``width`` letters that begin with ``first`` and ``later``. No name and no number with its unit is broken.
+
+    Examples
+    --------
+    >>> wrapped("the bias moved by 12 ug", 21)
+    ['the bias moved by', '12 ug']
+    """
+    lines = textwrap.wrap(
+        _OF_NUMBER.sub("\xa0", text),
+        width,
+        initial_indent=first,
+        subsequent_indent=later,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace("\xa0", " ") for line in lines]

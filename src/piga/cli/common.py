@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import sys
-import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -114,11 +113,14 @@ def _fitted(text: str, stream: Any) -> str:
     """Clean text, on a terminal in lines as wide as it; a name or a number is never broken."""
     lines = clean(text).split("\n")
     if getattr(stream, "isatty", bool)():
+        from piga.units import wrapped
+
         width = shutil.get_terminal_size().columns
-        form = textwrap.TextWrapper(
-            width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
-        )
-        lines = [form.fill(line) if len(line) > width else line for line in lines]
+        lines = [
+            part
+            for line in lines
+            for part in (wrapped(line, width, later="    ") if len(line) > width else [line])
+        ]
     return "\n".join(lines)
 
 

@@ -212,6 +212,7 @@ class _Fit:
     def __init__(self, columns: Array, square: Array, count: Array) -> None:
         self.scale = 1.0 / np.sqrt((columns**2).sum(axis=0))
         self.columns, self.square, self.count = columns * self.scale, square, count
+        self.least = max(1e-15 * float(square.max(initial=0.0)), 1e-300)
 
     def best(self, start: Array | None = None, fixed: int | None = None) -> Array:
         """Squared levels of the largest likelihood, none below zero. The ``fixed`` one stays as in ``start``.
@@ -226,7 +227,7 @@ class _Fit:
         model = self.square if start is None else self.columns @ squares
         before = -math.inf if start is None else self.likelihood(start)
         for _ in range(_ROUNDS):
-            root = np.sqrt(self.count) / np.maximum(model, 1e-300)
+            root = np.sqrt(self.count) / np.maximum(model, self.least)
             held = self.columns[:, ~free] @ squares[~free]
             new = squares.copy()
             new[free] = nnls(self.columns[:, free] * root[:, None], (self.square - held) * root)[0]
@@ -243,7 +244,7 @@ class _Fit:
 
     def likelihood(self, squares: Array) -> float:
         """Logarithm of the likelihood, up to a constant."""
-        model = np.maximum(self.columns @ (squares / self.scale), 1e-300)
+        model = np.maximum(self.columns @ (squares / self.scale), self.least)
         return -0.5 * float(self.count @ (np.log(model) + self.square / model))
 
     def interval(self, k: int, squares: Array) -> tuple[float, float]:

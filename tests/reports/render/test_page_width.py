@@ -38,3 +38,12 @@ def test_no_line_is_longer_than_the_terminal(monkeypatch, width):
     assert words.count("1.23e-07") == words.count("break-even") == 3
     assert {f"{k}.{j}234567e-7" for k in range(3) for j in range(8)} <= set(words)
     assert max(map(len, page_text(page(), width=100).splitlines())) > 90
+
+
+@pytest.mark.parametrize("width", range(40, 100, 3))
+def test_no_number_is_parted_from_its_unit(width: int) -> None:
+    words = "a bias of 12.5 ug, 6.4 u, at 0 deg and 1.3e-7 rad/s/g with 47 ppm or 3.1 % in 60 s (0.12 arcsec) of 2 runs; "
+    text = page_text(Page("A page", 9 * words), width=width)
+    assert " ".join(text.split()) == " ".join(f"A page {9 * words}".split())
+    for number in ("12.5 ug", "6.4 u,", "0 deg", "1.3e-7 rad/s/g", "47 ppm", "3.1 %", "60 s", "(0.12 arcsec)"):
+        assert text.count(number) == 9, number

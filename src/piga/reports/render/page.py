@@ -12,7 +12,6 @@ import hashlib
 import json
 import math
 import re
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
@@ -27,6 +26,7 @@ from piga.errors import MissingPackageError, needed
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import aligned, ascii_text, printed
 from piga.results import Plotted, Shown
+from piga.units import wrapped
 
 Tone = Literal["", "good", "doubtful", "bad", "quiet"]
 Kind = Literal["info", "good", "warning", "problem"]
@@ -405,7 +405,7 @@ def _table_lines(table: Table, told: Callable[[str], str], width: int) -> list[s
     for line in aligned(rows, left):
         whole = f"  {line}".rstrip()
         if last in left and start < width - 20 and len(whole) > width:
-            lines += _lines_of(whole[start:], width, whole[:start], " " * start)
+            lines += wrapped(whole[start:], width, whole[:start], " " * start)
         else:
             lines.append(whole)
     return [f"{_WHOLE}{line}" for line in (lines if any(heads) else lines[1:])]
@@ -417,21 +417,9 @@ def _narrowed(rows: list[list[str]], width: int, *, text: bool) -> list[list[str
     room = max(width - 4 - (min(other, width // 3) if text else other), width // 3)
     narrow = []
     for row in rows:
-        first, *more = _lines_of(row[0], room - 2) if len(row[0]) > room else [row[0]]
+        first, *more = wrapped(row[0], room - 2) if len(row[0]) > room else [row[0]]
         narrow += [[first, row[1]], *([f"  {part}", ""] for part in more)]
     return narrow
-
-
-def _lines_of(text: str, width: int, first: str = "", later: str = "") -> list[str]:
-    """Lines of at most ``width`` letters; a number or a name is never broken."""
-    return textwrap.wrap(
-        text,
-        width,
-        initial_indent=first,
-        subsequent_indent=later,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def _wrapped(line: str, width: int) -> list[str]:
@@ -439,7 +427,7 @@ def _wrapped(line: str, width: int) -> list[str]:
     if line.startswith(_WHOLE) or len(line) <= width:
         return [line.removeprefix(_WHOLE)]
     indent = " " * (len(line) - len(line.lstrip()))
-    return _lines_of(line.strip(), width, indent, f"{indent}    ")
+    return wrapped(line.strip(), width, indent, f"{indent}    ")
 
 
 def brief(result: Shown) -> Page:
