@@ -370,7 +370,7 @@ UNIT_FACTORS = (
 
 
 def wrapped(text: str, width: int, first: str = "", later: str = "") -> list[str]:
-    """Lines of at most ``width`` letters that begin with ``first`` and ``later``. No name and no number with its unit is broken.
+    """A text in lines of at most ``width`` letters that begin with ``first`` and ``later``. No name or number with its unit is broken.
 
     Examples
     --------
