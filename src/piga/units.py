@@ -370,7 +370,9 @@ UNIT_FACTORS = (
 
 
 def wrapped(text: str, width: int, first: str = "", later: str = "") -> list[str]:
-    """A text in lines of at most ``width`` letters that begin with ``first`` and ``later``. No name or number with its unit is broken.
+    """A text in lines of at most ``width`` letters, which begin with ``first`` and ``later``.
+
+    No name is broken, and no number with its unit.
 
     Examples
     --------
