@@ -9,6 +9,7 @@ import pytest
 from scipy.fft import dct
 from scipy.signal import lfilter
 
+from piga.errors import PigaError
 from piga.noise.levels import SOURCES, _columns, level_variances, noise_levels
 from piga.stand import read_scenario, run_scenario
 
@@ -78,6 +79,21 @@ def test_what_is_not_there_is_not_seen():
     assert spectrum.misfit is None
     assert spectrum.density[-20:] == pytest.approx(9.0, rel=0.5)
     assert spectrum.frequency[-1] < 1.0 / (2.0 * STEP)
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_counts_without_noise_are_refused(rate: float):
+    """Whole counts in each step: a traceback before."""
+    counts = np.floor(rate * np.arange(3000) + 0.3)
+    with pytest.raises(PigaError, match=r"a\.csv: the samples repeat exactly"):
+        noise_levels([np.diff(counts) / STEP], STEP, of_angles=True, source="a.csv")
+
+
+@pytest.mark.parametrize("rate", [0.5, 1 / 3, 0.37123, 0.0037123])
+def test_counts_of_a_steady_rate_are_no_noise(rate: float):
+    """Their lines are not the spectrum of any level: said. A simple fraction of a count ended in a traceback before."""
+    counts = np.floor(rate * np.arange(3000) + 0.3)
+    assert noise_levels([np.diff(counts) / STEP], STEP, of_angles=True)[1].misfit is not None
 
 
 def test_a_level_scales_with_the_unit():

@@ -145,7 +145,7 @@ def analyse_noise(
     else:
         rates = [np.diff(values[part] - values[part.start]) / step for part in parts]
         angle, times = values, t
-    levels, spectrum = noise_levels(rates, step, of_angles=kind == "angle")
+    levels, spectrum = noise_levels(rates, step, of_angles=kind == "angle", source=source)
     noise = {
         ALLAN[one.name][0]: one.value**2 * ALLAN[one.name][1]
         for one in levels

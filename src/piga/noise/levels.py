@@ -13,10 +13,13 @@ from functools import partial
 
 import numpy as np
 
+from piga.errors import ArgumentError
 from piga.results import Array, Result
 
 SOURCES = ("quantisation", "random_walk", "bias_instability", "rate_random_walk")
 """Noises with a spectrum, in the order of the columns of the model. The drift is a line."""
+_ROUNDING = 10.0 * float(np.finfo(float).eps)
+"""Rounding of a spectral value over the largest value of the record and the root of its length."""
 FEWEST = 16
 """Rates of the shortest stretch whose spectrum is taken."""
 _FALL = 0.5 * 3.841458820694124
@@ -73,7 +76,7 @@ class NoiseSpectrum(Result):
 
 
 def noise_levels(
-    stretches: Sequence[Array], step: float, *, of_angles: bool
+    stretches: Sequence[Array], step: float, *, of_angles: bool, source: str = "the output"
 ) -> tuple[tuple[NoiseLevel, ...], NoiseSpectrum]:
     r"""Levels of the noise of a rate, and the spectrum they are from.
 
@@ -95,8 +98,16 @@ def noise_levels(
     of_angles:
         Whether the rates are differences of angles. Their first and last values then have a quantisation that no
         other value has, and are free.
+    source:
+        Where they are from, for an error.
+
+    Raises
+    ------
+    ArgumentError
+        If the values repeat exactly, so that most of the spectrum is rounding.
     """
     parts = [_Part.of(y, step, of_angles) for y in stretches if y.size > FEWEST]
+    rounding = _ROUNDING * max(math.sqrt(y.size) * float(np.abs(y).max()) for y in stretches)
     edges = _edges(np.concatenate([part.share for part in parts]))
     places = [np.searchsorted(edges, part.share, side="right") - 1 for part in parts]
     count = np.bincount(np.concatenate(places), minlength=edges.size).astype(float)
@@ -109,6 +120,12 @@ def noise_levels(
     columns = np.column_stack([mean([_columns(p.share, step)[k] for p in parts]) for k in range(len(SOURCES))])
     model, drift = mean([part.value**2 for part in parts]), 0.0
     for _ in range(_ROUNDS):
+        if not model.min() + _SMALL * model.mean() > rounding**2:
+            raise ArgumentError(
+                f"{source}: the samples repeat exactly: no noise is seen",
+                remedy="log with a finer resolution, or while the output turns at another rate",
+            )
+        model = np.maximum(model, _SMALL * model.mean())
         spectra = [model[place] for place in places]
         freed = [part.freed(spectrum) for part, spectrum in zip(parts, spectra, strict=True)]
         information = sum(float(line @ (line / s)) for (_, line, _), s in zip(freed, spectra, strict=True))

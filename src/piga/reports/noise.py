@@ -99,7 +99,8 @@ def remarks(noise: NoiseAnalysis) -> tuple[str, ...]:
     low, high, ratio = noise.spectrum.misfit
     words = (
         f"Between {short(low)} and {short(high)} Hz the spectrum is {short(ratio)} times that of the levels: they do not "
-        "describe the whole record. Look for a wave, a filter or a change of temperature."
+        "describe the whole record. Look for a wave, a filter, a change of temperature, or the lines that "
+        "counts of a steady output make."
     )
     return (words,)
 
