@@ -180,7 +180,8 @@ def _note_stopped(
 
     ``a_x`` (n,) is the reference along X0 [m/s^2], ``per_step`` the output units per (m/s^2) and second.
     """
-    still = (np.diff(output, prepend=np.nan) == 0.0) & ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
+    still = ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
+    still[1:] &= output[1:] == output[:-1]  # the first row begins a stretch
     start, length = _longest_run(still)
     if length < _STUCK:
         return
@@ -279,7 +280,8 @@ class _Reading:
 
     def check_jump(self, psi: Array) -> None:
         """Refuse an output with a jump that only a folded counter or a reset can make."""
-        size, unit, largest = np.abs(changes(psi)), self.scale.unit, self.largest
+        size, unit, largest = changes(psi), self.scale.unit, self.largest
+        np.abs(size, out=size)  # in place: a long column is not copied
         size[self.begins] = 0.0
         at = int(np.argmax(size))
         if size[at] > 10.0 * largest + 2.0:
