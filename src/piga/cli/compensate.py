@@ -37,10 +37,6 @@ def compensate(
         list[Path] | None,
         typer.Option(metavar="CALIBRATION.json", help="Calibration record; one per run.", show_default=False),
     ] = None,
-    as_run: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Take a joint calibration as this run sees it.", show_default=False),
-    ] = None,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="Result, .parquet or .csv; - for a live stream.")
     ] = Path("-"),
@@ -65,6 +61,10 @@ def compensate(
     other_serial: Annotated[
         bool, typer.Option("--other-serial", help="Accept a calibration of another serial number.")
     ] = False,
+    as_run: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Take a joint calibration as this run sees it.", show_default=False),
+    ] = None,
     force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
     arrow: Annotated[
