@@ -13,8 +13,8 @@ from pathlib import Path
 import nox
 
 ROOT = Path(__file__).parent
+nox.needs_version = ">=2025.2.9"
 nox.options.default_venv_backend = "none"  # that in which nox runs
-nox.options.sessions = ["long", "interpreted", "docs"]
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 TESTS = ("pytest", "-n", "2", "--dist", "worksteal", "-m")
 EXPORTED = {"demo": ["--extra", "report"], "ui": ["--extra", "report", "--extra", "ui"]}
@@ -38,7 +38,7 @@ def interpreted(session: nox.Session) -> None:
     run(session, *TESTS, "interpreted and not long and not slow", *session.posargs, NUMBA_DISABLE_JIT="1")
 
 
-@nox.session
+@nox.session(default=False)
 def slow(session: nox.Session) -> None:
     """The long statistical tests, compiled: hours."""
     run(session, "pytest", "-m", "slow", *session.posargs)
@@ -52,7 +52,7 @@ def docs(session: nox.Session) -> None:
     session.log("open site/index.html")
 
 
-@nox.session
+@nox.session(default=False)
 def coverage(session: nox.Session) -> None:
     """Branch coverage: all tests with the JIT off, then the long ones compiled."""
     measured = ["coverage", "run", "-m", "pytest", "-n", "2", *session.posargs]
@@ -64,7 +64,7 @@ def coverage(session: nox.Session) -> None:
     run(session, "coverage", "report", "--fail-under", "95")
 
 
-@nox.session
+@nox.session(default=False)
 def package(session: nox.Session) -> None:
     """Wheel and sdist, installed and run on every Python that is found (or named), or on this one."""
     shutil.rmtree(ROOT / "dist", ignore_errors=True)
@@ -98,7 +98,7 @@ def try_package(session: nox.Session, built: Path, folder: Path) -> None:
     session.run(str(programs / "piga"), "demo", "--out", str(folder / "demo"))
 
 
-@nox.session(venv_backend="venv")
+@nox.session(venv_backend="venv", default=False)
 def lock(session: nox.Session) -> None:
     """Resolve all requirements into requirements/all.txt, and export the others from it: ``-- --upgrade-package NAME``."""
     session.install("uv")
