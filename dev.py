@@ -126,7 +126,7 @@ def test(arguments: list[str]) -> None:
     """Lint, types, import contract, and all tests of some seconds; with arguments those tests, the long ones too."""
     programs = environment(".venv-test", "all")
     python = str(programs / "python")
-    everything = [python, "-m", "pytest", "-n", "2", "--dist", "worksteal", "-m"]
+    everything = [python, "-m", "pytest", "-n", "2", "--dist", "loadfile", "-m"]
     if arguments:
         call([*everything, "not slow", *arguments])
         return

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent
 nox.needs_version = ">=2025.2.9"
 nox.options.default_venv_backend = "none"  # that in which nox runs
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
-TESTS = ("pytest", "-n", "2", "--dist", "worksteal", "-m")
+TESTS = ("pytest", "-n", "2", "--dist", "loadfile", "-m")
 EXPORTED = {"demo": ["--extra", "report"], "ui": ["--extra", "report", "--extra", "ui"]}
 """Exported files, beside the lock, and the extras in them."""
 

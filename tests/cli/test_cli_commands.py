@@ -20,7 +20,7 @@ from piga.cli.main import app
 from piga.data import copy_example
 from piga.errors import PigaError
 from piga.units import G0
-from tests.cli.runner import exit_code
+from tests.cli.runner import exit_code, outcome
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 from tests.records.files import lines, write_log, write_run
 
@@ -147,18 +147,20 @@ def test_the_example_is_copied_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
+def test_joint_calibration_of_the_shipped_examples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two simulated stands, calibrated together and again from a summary of one of them."""
     examples = Path(__file__).parents[2] / "examples"
     for name in ("dividing-head", "centrifuge"):
-        done = piga("simulate", str(examples / f"joint-{name}.toml"), "--out", str(tmp_path / name))
-        assert done.returncode == 0, done.stderr
+        code, out, err = outcome(
+            capsys, "simulate", str(examples / f"joint-{name}.toml"), "--out", str(tmp_path / name)
+        )
+        assert code == 0, err
     head, spun = str(tmp_path / "dividing-head/run.toml"), str(tmp_path / "centrifuge/run.toml")
-    alone = piga("calibrate", head, "--out", str(tmp_path / "alone"))
-    assert alone.returncode == 2
-    assert "cannot separate k0, k2, k_YY" in alone.stderr
-    done = piga("calibrate", head, spun, "--summary", "--out", str(tmp_path / "joint"))
-    assert done.returncode == 0, done.stderr
+    code, out, err = outcome(capsys, "calibrate", head, "--out", str(tmp_path / "alone"))
+    assert code == 2
+    assert "cannot separate k0, k2, k_YY" in err
+    code, out, err = outcome(capsys, "calibrate", head, spun, "--summary", "--out", str(tmp_path / "joint"))
+    assert code == 0, err
     written = {path.name for path in (tmp_path / "joint").glob("[!.]*")}
     assert written >= {
         "calibration.json",
@@ -171,18 +173,20 @@ def test_joint_calibration_of_the_shipped_examples(tmp_path: Path) -> None:
     assert abs(values["k_YY"]["value"] + 5e-6) < 4.0 * values["k_YY"]["std"]
     assert values["m_Y"]["run"] == "dividing-head"
     whole = ("compensate", spun, "--calibration", str(tmp_path / "joint/calibration.json"))
-    done = piga(*whole, "--out", str(tmp_path / "out.csv"))
-    assert done.returncode == 2
-    assert "--as-run dividing-head" in done.stderr
-    done = piga(*whole, "--as-run", "centrifuge", "--out", str(tmp_path / "out.csv"))
-    assert done.returncode == 0, done.stderr
+    code, out, err = outcome(capsys, *whole, "--out", str(tmp_path / "out.csv"))
+    assert code == 2
+    assert "--as-run dividing-head" in err
+    code, out, err = outcome(capsys, *whole, "--as-run", "centrifuge", "--out", str(tmp_path / "out.csv"))
+    assert code == 0, err
     summary = str(tmp_path / "joint/summary-dividing-head.json")
-    done = piga("calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again"))
-    again = {c["name"]: c["value"] for c in json.loads(done.stdout)["coefficients"]}
+    code, out, err = outcome(
+        capsys, "calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again")
+    )
+    again = {c["name"]: c["value"] for c in json.loads(out)["coefficients"]}
     assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)
     both = [summary, str(tmp_path / "joint/summary-centrifuge.json")]
-    done = piga("calibrate", *both, "--no-report", "--out", str(tmp_path / "merged"))
-    assert done.returncode == 0, done.stderr
+    code, out, err = outcome(capsys, "calibrate", *both, "--no-report", "--out", str(tmp_path / "merged"))
+    assert code == 0, err
     assert [path.name for path in (tmp_path / "merged").glob("[!.]*")] == ["calibration.json"]
 
 
