@@ -136,7 +136,7 @@ def test_entries_of_the_stand_have_distributions(tmp_path: Path) -> None:
     )
     for wrong, message in (
         ('angle_error = { half_width = "1 arcsec" }', "no half-width"),
-        ('angle_error = { width = "1 arcsec" }', "unknown field"),
+        ('angle_error = { width = "1 arcsec" }', r"\[uncertainty.angle_error\] has the unknown key 'width'"),
         ('angle_harmonics = { standard = "1 arcsec" }', "a list is needed"),
     ):
         run = piga.read_run(edited(tmp_path, uncertainty=f"[uncertainty]\n{wrong}\n"))

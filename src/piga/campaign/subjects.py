@@ -17,7 +17,7 @@ from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.errors import ArgumentError, PigaError, PigaWarning, RunFileError, UnitError
 from piga.records.calibration.coefficient import changes
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, ModelTable, UncertaintyTable
-from piga.records.text_files import convert_toml, toml_text
+from piga.records.text_files import convert_table, convert_toml, toml_text
 from piga.results import Array, finite
 from piga.stand.scenario import Scenario, ScenarioTable, run_scenario, scenario_of
 
@@ -71,9 +71,9 @@ def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> 
         ("uncertainty", UncertaintyTable),
     ):
         try:
-            msgspec.convert(getattr(table, part), kind)
-        except msgspec.ValidationError as error:
-            raise RunFileError(f"{path}: [{part}]: {error}", remedy="correct the key or the value") from None
+            convert_table(part, getattr(table, part), kind)
+        except ArgumentError as error:
+            raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
     if table.truth.get("k1"):
         raise RunFileError(
             f"{path}: [truth] k1: a calibration cannot separate it from the scale factor",

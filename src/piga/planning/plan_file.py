@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import msgspec
 
@@ -16,7 +16,7 @@ from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
 from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
-from piga.records.text_files import read_toml
+from piga.records.text_files import convert_table, read_toml
 from piga.results import Result
 from piga.stand.scenario import (
     CentrifugeTable,
@@ -33,8 +33,6 @@ from piga.stand.scenario import (
 )
 from piga.terms import LOGGED_TERMS
 from piga.units import to_si
-
-T = TypeVar("T", bound=msgspec.Struct)
 
 _PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
 """Stands whose positions or levels can be chosen one by one."""
@@ -133,8 +131,8 @@ def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
     path = Path(path)
     table = read_toml(path, PlanTable, None if content is None else content.encode())
     try:
-        model = _converted(table.model, ModelTable, "model")
-        uncertainty = _converted(table.uncertainty, UncertaintyTable, "uncertainty")
+        model: ModelTable = convert_table("model", table.model, ModelTable)
+        uncertainty: UncertaintyTable = convert_table("uncertainty", table.uncertainty, UncertaintyTable)
         unit = output_unit(table)
         check_terms(model.terms, where="[model] terms", output=unit)
         if unit != GYRO and table.mounting is not None:
@@ -148,15 +146,6 @@ def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
         if error.message.startswith(f"{path}:"):
             raise
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-
-
-def _converted(table: dict[str, Any], kind: type[T], name: str) -> T:
-    try:
-        return msgspec.convert(table, kind)
-    except msgspec.ValidationError as error:
-        raise RunFileError(
-            f"[{name}]: {str(error).lower()}", remedy="write the table as in a run file"
-        ) from None
 
 
 def request_of(model: ModelTable) -> Request:

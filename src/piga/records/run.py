@@ -13,7 +13,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,7 +29,7 @@ from piga.records.run_file import (
     refuse,
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
-from piga.records.text_files import RENAMED
+from piga.records.text_files import RENAMED, convert_table
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 from piga.terms import LOGGED_TERMS
 from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text
@@ -491,11 +490,7 @@ def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
     """A table of the run file, from its keys; former names of keys are read as in a file."""
     if isinstance(given, dict):
         given = {RENAMED.get((name, key), key): value for key, value in given.items()}
-    try:
-        return msgspec.convert(given or {}, kind)
-    except msgspec.ValidationError as error:
-        example = " {'reference_scale': '10 ppm'}" if name == "uncertainty" else ""
-        raise ArgumentError(f"{name}: {error}", remedy=f"the keys are those of the run file{example}") from None
+    return convert_table(name, given or {}, kind)
 
 
 def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:

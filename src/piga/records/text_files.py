@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_args
 
 import msgspec
 
-from piga.errors import RunFileError
+from piga.errors import ArgumentError, RunFileError
 from piga.records.limits import read_whole
 from piga.units import LARGEST
 
@@ -175,6 +175,22 @@ def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
     except msgspec.ValidationError as error:
         text, remedy = explained(str(error), kind, document)
         raise RunFileError(f"{path}: {text}", remedy=remedy) from None
+
+
+def convert_table(name: str, table: object, kind: Any) -> Any:
+    """Convert one table, called ``name`` in messages, into ``kind``.
+
+    Raises
+    ------
+    ArgumentError
+        As :func:`convert_toml`; the message begins with ``[name]``.
+    """
+    holder = msgspec.defstruct("Tables", [(name, kind)])
+    try:
+        return getattr(msgspec.convert({name: table}, holder), name)
+    except msgspec.ValidationError as error:
+        text, remedy = explained(str(error), holder, {name: table})
+        raise ArgumentError(text, remedy=remedy) from None
 
 
 def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> tuple[str, str]:

@@ -32,7 +32,7 @@ from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
 from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
 from piga.records.terms import GYRO
-from piga.records.text_files import explained
+from piga.records.text_files import convert_table, explained
 from piga.results import Array, Result
 from piga.stand.profile import GENERAL, NONE, Imperfections, Segment, Stand, force_change, imperfections
 from piga.stand.scenario import CompositeTable, SimpleStand
@@ -155,12 +155,10 @@ def _standard(name: str, error: str, written: Any) -> tuple[Any, tuple[str, floa
     if name == "angle_harmonics":
         raise ArgumentError(f"{where}: a list is needed", remedy="write e.g. [[2, '1 arcsec']]")
     try:
-        spread = msgspec.convert(written, Spread)
-    except msgspec.ValidationError as invalid:
-        raise ArgumentError(
-            f"{where}: {str(invalid).lower()}",
-            remedy="write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }",
-        ) from None
+        spread: Spread = convert_table(name, written, Spread)
+    except ArgumentError as invalid:
+        remedy = "write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }"
+        raise ArgumentError(f"[uncertainty.{invalid.message[1:]}", remedy=remedy) from None
     unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == error)
     return f"{from_si(standard_uncertainty(spread, unit, where), unit):.9g} {unit}", shape_of(spread)
 
@@ -178,10 +176,6 @@ def _components(error: str, written: Any) -> Iterator[tuple[str, Any, Any]]:
         yield "", written, written
 
 
-class _Stand(msgspec.Struct):
-    stand: SimpleStand | CompositeTable
-
-
 def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] | None]:
     """The stand, and the labels of its positions if they have names."""
     positions = table.get("positions")
@@ -189,12 +183,7 @@ def _build(table: dict[str, Any], folder: Path) -> tuple[Stand, tuple[str, ...] 
     if isinstance(positions, dict):
         names = tuple(positions)
         table = table | {"positions": list(positions.values())}
-    try:
-        built = msgspec.convert({"stand": table}, _Stand).stand
-    except msgspec.ValidationError as error:
-        text, remedy = explained(str(error), _Stand, {"stand": table})
-        raise ArgumentError(text, remedy=remedy) from None
-    return built.build(folder), names
+    return convert_table("stand", table, SimpleStand | CompositeTable).build(folder), names
 
 
 def plan_times(
@@ -307,7 +296,8 @@ def run_from_table(
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream, stand_reference)
     except msgspec.ValidationError as error:
-        raise ArgumentError(f"{WHERE}: {error}", remedy="the arguments are those of a run file") from None
+        text, remedy = explained(str(error), RunFile, described)
+        raise ArgumentError(f"{WHERE}: {text}", remedy=remedy) from None
     except (RunFileError, UnitError) as error:
         raise ArgumentError(f"{WHERE}: {error.message}", remedy=error.remedy) from None
 
