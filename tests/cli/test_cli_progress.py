@@ -8,6 +8,7 @@ import sys
 import time
 from io import StringIO
 from pathlib import Path
+from types import ModuleType
 
 import numba
 import pytest
@@ -102,3 +103,10 @@ def test_the_bar_is_one_line_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatc
     console = Console(width=60, file=StringIO())
     console.print(bar._bar.get_renderable())
     assert len(console.file.getvalue().rstrip("\n").splitlines()) == 1
+
+
+def test_a_bar_is_drawn_while_the_kernels_are_being_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bar is drawn by a thread of its own, which can meet the module half imported."""
+    monkeypatch.setitem(sys.modules, "piga._kernels.jit", ModuleType("piga._kernels.jit"))
+    with Bar("working", 10) as bar:
+        bar._bar.refresh()

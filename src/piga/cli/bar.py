@@ -10,6 +10,8 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Ta
 from rich.table import Column
 from rich.text import Text
 
+from piga.cli.common import FIRST_USE
+
 WIDE = 90
 """Columns of a terminal from which on the bar is long."""
 
@@ -30,11 +32,10 @@ class _Compiling(ProgressColumn):
     def render(self, _task: Task) -> Text:
         """The column of one line."""
         jit = sys.modules.get("piga._kernels.jit")
-        return Text(
-            "first use: compiling, once for all commands, up to half a minute"
-            if jit is not None and jit.compiling()
-            else ""
-        )
+        compiling = getattr(
+            jit, "compiling", None
+        )  # missing while another thread is still importing the module
+        return Text(FIRST_USE if compiling is not None and compiling() else "")
 
 
 class Bar:

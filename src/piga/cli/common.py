@@ -351,6 +351,10 @@ class PlainCommand(TyperCommand):
         """The whole help."""
         return super().get_help(ctx).replace(_HYPHEN, "-")
 
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """The first sentence for the list of a group: whole, in as many lines as it takes."""
+        return super().get_short_help_str(max(limit, _LONGEST))
+
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write what the command does."""
         kept, self.help = self.help, (self.help or "").replace("-", _HYPHEN)

@@ -179,7 +179,7 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
     count = len(drifts.alarms)
     period = fixed(span, 1) if span >= 1.0 else f"{span * 365.25:.0f}"
     return (
-        Tile("Records", str(len(drifts.records)), "", f"on {days} days"),
+        Tile("Records", str(len(drifts.records)), "", "on 1 day" if days == 1 else f"on {days} days"),
         Tile("Span", period, "years" if span >= 1.0 else "days"),
         Tile("Alarms", str(count), "", "see below" if count else "all in control", "bad" if count else "good"),
         Tile(
