@@ -14,6 +14,9 @@ from piga.errors import CancelledError
 Progress = Callable[[float, float, str], bool | None]
 """Function of the work done, the whole work, and what comes now. It returns False to stop the call."""
 
+FIRST_USE = "first use: compiling, once for all commands, up to half a minute"
+"""Said while kernels are compiled."""
+
 WHEN_COMPILED: list[Callable[[], None]] = []
 """Called once when the first kernel of this process is compiled, not only loaded."""
 

@@ -15,10 +15,10 @@ import pytest
 from typer.main import get_command
 
 import piga as piga_package
-from piga.cli.common import FIRST_USE
 from piga.cli.main import app
 from piga.data import copy_example
 from piga.errors import PigaError
+from piga.progress import FIRST_USE
 from piga.units import G0
 from tests.cli.runner import exit_code, outcome
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of

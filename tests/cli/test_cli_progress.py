@@ -16,8 +16,9 @@ from rich.console import Console
 
 import piga._kernels.jit  # noqa: F401
 from piga.cli.bar import Bar
-from piga.cli.common import FIRST_USE, progress
+from piga.cli.common import progress
 from piga.data import copy_example
+from piga.progress import FIRST_USE
 from tests.cli.runner import ENVIRONMENT, on_terminal
 
 STOPPED = (130, -signal.SIGINT)

@@ -10,7 +10,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Ta
 from rich.table import Column
 from rich.text import Text
 
-from piga.cli.common import FIRST_USE
+from piga.progress import FIRST_USE
 
 WIDE = 90
 """Columns of a terminal from which on the bar is long."""

@@ -19,7 +19,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from piga.errors import ArgumentError, PigaError
 from piga.output import results, write_whole
-from piga.progress import WHEN_COMPILED
+from piga.progress import FIRST_USE, WHEN_COMPILED
 
 if TYPE_CHECKING:
     from piga.reports.render.page import Page
@@ -284,10 +284,6 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
-
-
-FIRST_USE = "first use: compiling, once for all commands, up to half a minute"
-"""Said while kernels are compiled."""
 
 
 def _lines(title: str, every: float | None) -> Show:
