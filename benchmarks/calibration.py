@@ -1,6 +1,6 @@
 """Speed of the calibration: ratios against named baselines in one run.
 
-Run with ``python benchmarks/calibration.py [--record]``; prints a table.
+Run with ``python -m benchmarks.calibration [--record]``; prints a table.
 ``--record`` puts it into docs/measured. Baseline: a nonlinear fit of the same record with SciPy.
 """
 
@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from harness import put_down, seconds
+from benchmarks.harness import put_down, seconds
 
 import piga
 from piga.units import G0

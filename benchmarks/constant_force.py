@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ PAUSE = 5.0
 
 FORCE_UNITS = {
     "seconds": "s", "pause": "s", "rate": "Hz", "white": "rad", "walk": "rad/sqrt(s)", "count": "rad",
-    "drift": "rad/s/sqrt(s)", "scatter": "rad/s", "flicker": "rad/s", "markov": "rad/s", "markov_time": "s",
-    "cycle": "rad/s", "cycle_period": "s",
+    "drift": "rad/s/sqrt(s)", "scatter": "rad/s",
 }  # fmt: skip
 """Unit of each quantity of a case, by its key."""
 
@@ -69,10 +68,7 @@ def read_cases(path: Path) -> dict[str, ConstantForce | Joint]:
     Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order. ``truth``
     has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of the reading,
     ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test), ``scatter`` an
-    offset of the rate that is new in each segment. Coloured noise of the rate: ``flicker`` is the standard deviation of 1/f
-    noise in a decade of frequency, ``markov`` that of a first-order Markov process with the correlation time
-    ``markov_time``, ``cycle`` the amplitude of a slow wave with the period ``cycle_period``. A log of ``kind`` rate has the
-    rate at each sample; its gimbal stands still between the segments. Tests in ``joint`` are calibrated together.
+    offset of the rate that is new in each segment. Tests in ``joint`` are calibrated together.
     """
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     tests: dict[str, ConstantForce | Joint] = {}
@@ -86,14 +82,11 @@ def read_cases(path: Path) -> dict[str, ConstantForce | Joint]:
 def _test(name: str, table: dict[str, Any]) -> ConstantForce:
     forces, turning = _segments(table)
     values = {key: to_si(table[key], unit) for key, unit in FORCE_UNITS.items() if key in table}
-    markov = (values.pop("markov", 0.0), values.pop("markov_time", 1.0))
-    cycle = (values.pop("cycle", 0.0), values.pop("cycle_period", 1.0))
     truth = dict(table.get("truth", {}))
     fixed = {key: truth.pop(key) for key in ("scale_factor", "tan_beta", "phi") if key in truth}
     return ConstantForce(
-        name=name, forces=forces, turning=turning, truth=truth, terms=tuple(table["terms"]), markov=markov, cycle=cycle,
-        kind=table.get("kind", "angle"), **values, **fixed,
-    )  # fmt: skip
+        name=name, forces=forces, turning=turning, truth=truth, terms=tuple(table["terms"]), **values, **fixed
+    )
 
 
 def _segments(table: dict[str, Any]) -> tuple[Array, Array | None]:
@@ -170,10 +163,6 @@ class ConstantForce:
     scatter: float = 0.0
     scale_factor: float = SCALE
     pause: float = PAUSE
-    flicker: float = 0.0
-    markov: tuple[float, float] = (0.0, 1.0)
-    cycle: tuple[float, float] = (0.0, 1.0)
-    kind: Literal["angle", "rate"] = "angle"
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
@@ -201,18 +190,9 @@ class ConstantForce:
             noise += h * self._wandering(rng)
         if self.scatter:
             noise += h * self.scatter * rng.standard_normal((count, 1))
-        coloured = self._coloured(rng)
-        noise += h * coloured
         for s in range(count):
-            if self.kind == "rate":
-                starts[s] = psi[s - 1, -1] if s else self.phi
             constant_steps(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
         output = psi.ravel() - self.phi
-        if self.kind == "rate":
-            rates = a[:, None] + y[:, None] * np.sin(psi) - z[:, None] * np.cos(psi)
-            rates[:, 1:] += noise / h
-            rates[:, 0] += coloured[:, 0] + self.walk / math.sqrt(h) * rng.standard_normal(count)
-            output = rates.ravel()
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
         if self.count:
@@ -229,7 +209,6 @@ class ConstantForce:
             segment=np.repeat(np.arange(count, dtype=np.int32), steps + 1),
             resolution=self.count,
             serial="synthetic",
-            kind=self.kind,
             units="SI",
         )
 
@@ -240,55 +219,6 @@ class ConstantForce:
         starts = (self.seconds + self.pause) * np.arange(count)[:, None]
         times: Array = starts + (np.arange(steps) + 0.5) / self.rate - 0.5 * whole
         return times
-
-    def _coloured(self, rng: np.random.Generator) -> Array:
-        """Flicker, Markov noise and slow wave of the rate at ``_times`` [rad/s]; they go on between the segments."""
-        t, h = self._times(), 1.0 / self.rate
-        rate: Array = np.zeros(t.shape)
-        if self.flicker:
-            power = self._flicker_power()
-            size = 2 * power.size
-            waves = rng.standard_normal((2, power.size))
-            spectrum = np.append(0.0, np.sqrt(0.5 * power) * (waves[0] + 1j * waves[1])) * (
-                size / math.sqrt(2.0)
-            )
-            rate += np.fft.irfft(spectrum, size)[np.round((t - t[0, 0]) / h).astype(int)]
-        level, time = self.markov
-        if level:
-            flat = t.ravel()
-            kept = np.exp(-np.diff(flat, prepend=-np.inf) / time)
-            drawn = np.sqrt(1.0 - kept**2) * rng.standard_normal(flat.size)
-            own, last = np.empty(flat.size), 0.0
-            for i in range(flat.size):
-                last = own[i] = kept[i] * last + drawn[i]
-            rate += level * own.reshape(t.shape)
-        amplitude, period = self.cycle
-        if amplitude:
-            rate += amplitude * np.sin(2.0 * np.pi * (t / period + rng.uniform()))
-        return rate
-
-    def _flicker_power(self) -> Array:
-        """Variance of the flicker noise in each line of its spectrum, from half a period in the test up."""
-        t, h = self._times(), 1.0 / self.rate
-        size = 1 << math.ceil(math.log2(2.0 * (t[-1, -1] - t[0, 0]) / h + 2.0))
-        power: Array = self.flicker**2 / math.log(10.0) / np.arange(1, size // 2 + 1)
-        return power
-
-    def _coloured_covariance(self) -> Array:
-        """Covariance of the coloured rates at ``_times`` (n, n)."""
-        t, h = self._times().ravel(), 1.0 / self.rate
-        lag = np.abs(np.subtract.outer(t, t))
-        amplitude, period = self.cycle
-        level, time = self.markov
-        covariance: Array = level**2 * np.exp(-lag / time) + 0.5 * amplitude**2 * np.cos(
-            2.0 * np.pi * lag / period
-        )
-        if self.flicker:
-            power = self._flicker_power()
-            size = 2 * power.size
-            lines = np.append(0.0, power) * (0.5 * size)
-            covariance += np.fft.irfft(lines, size)[np.round(lag / h).astype(int)]
-        return covariance
 
     def _wandering(self, rng: np.random.Generator) -> Array:
         """A random walk of the rate at ``_times``, zero in the middle of the test [rad/s]."""
@@ -302,8 +232,9 @@ class ConstantForce:
         return piga.calibrate(run, self.terms)
 
     def errors(self, calibration: piga.Calibration) -> Array:
-        """Error of every coefficient in file units, in the order of the result."""
-        return errors(calibration, self.truths(calibration))
+        """Error of every coefficient in file units, in the order of the result; of phases to the nearest whole turn."""
+        found = np.array([c.value for c in calibration.coefficients])
+        return changes(calibration.coefficients, self.truths(calibration), found)
 
     def truths(self, calibration: piga.Calibration) -> Array:
         """True values in the order of the result, file units."""
@@ -326,26 +257,15 @@ class ConstantForce:
         )
         V += (self.scatter * h) ** 2
         angles = run.output + self.phi
-        if self.kind == "rate":
-            angles = self._angles(run)
         parts = [self._derivatives(angles[run.segment_index == s], s, h) for s in range(len(self.forces))]
-        if self.drift or self.flicker or self.markov[0] or self.cycle[0]:
+        if self.drift:
             t = self._times().ravel()
             together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
             whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
-            whole += h**2 * self._coloured_covariance()
             columns = np.concatenate(parts)
             information: Array = columns.T @ np.linalg.solve(whole, columns)
             return information
         return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
-
-    def _angles(self, run: piga.Run) -> Array:
-        """Gimbal angle of a rate log, which stands still between the segments."""
-        steps = np.diff(run.t, prepend=run.t[0])
-        steps[run.begins] = 0.0
-        means = 0.5 * (run.output + np.concatenate([run.output[:1], run.output[:-1]]))
-        angles: Array = self.phi + np.cumsum(steps * means)
-        return angles
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -366,11 +286,6 @@ class ConstantForce:
         effects = products(a, y, z)
         rows = [known[n] if n in known else self.scale_factor * effects[n] + 0.0 * sine for n in self.names]
         return np.array([0.5 * h * (rate[1:] + rate[:-1]) for rate in rows]).T
-
-
-def errors(calibration: piga.Calibration, truth: Array) -> Array:
-    """Errors in file units; those of phases to the nearest whole turn."""
-    return changes(calibration.coefficients, truth, np.array([c.value for c in calibration.coefficients]))
 
 
 @dataclass(frozen=True)
@@ -398,10 +313,6 @@ class Joint:
         """Coefficients in the order of a result: the phases of all runs behind tan_beta."""
         phases = tuple(f"phi[run {i + 1}]" for i in range(len(self.runs)))
         return tuple(n for name in self.runs[0].names for n in (phases if name == "phi" else (name,)))
-
-    def errors(self, calibration: piga.Calibration) -> Array:
-        """Error of every coefficient in file units, in the order of the result."""
-        return errors(calibration, self.truths(calibration))
 
     def truths(self, calibration: piga.Calibration) -> Array:
         """True values in the order of the result, file units."""

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import measured
 import numpy as np
+from benchmarks import measured
 
 
 def rounds(

@@ -1,6 +1,6 @@
 """Speed, accuracy and memory of the exact motion, with named baselines in the same run.
 
-Run: python benchmarks/motion.py [--record]; ``--record`` puts the figures into docs/measured/motion.json.
+Run: python -m benchmarks.motion [--record]; ``--record`` puts the figures into docs/measured/motion.json.
 
 Every time is the median of several calls, with the smallest beside it (on a busy machine the better guide).
 Baselines: a compiled Runge-Kutta of order 4, and SciPy's DOP853.
@@ -21,7 +21,7 @@ from typing import Any
 import numba
 import numpy as np
 import scipy
-from harness import put_down, seconds
+from benchmarks.harness import put_down, seconds
 from scipy.integrate import solve_ivp
 
 from piga.instrument import (

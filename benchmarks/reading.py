@@ -1,7 +1,7 @@
 """Reading of records: speed against PyArrow's own reader on the same clean CSV file, and largest private memory.
 
-Speed: ``python benchmarks/reading.py [--record]``. Memory of ``piga calibrate`` and ``piga compensate``:
-``python benchmarks/reading.py csv|parquet ROWS [--record]``. Pages of mapped files are not counted, because the system
+Speed: ``python -m benchmarks.reading [--record]``. Memory of ``piga calibrate`` and ``piga compensate``:
+``python -m benchmarks.reading csv|parquet ROWS [--record]``. Pages of mapped files are not counted, because the system
 takes them back.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from harness import put_down, rounds
+from benchmarks.harness import put_down, rounds
 from pyarrow import csv, parquet
 
 import piga
@@ -133,7 +133,7 @@ def memory() -> None:
             "calibrate": largest("calibrate", run, "--out", out),
             "compensate": largest("compensate", run, *own),
         }
-    again = f"python benchmarks/reading.py {kind} {rows}"
+    again = f"python -m benchmarks.reading {kind} {rows}"
     values = {
         f"private memory, {kind} of {rows / 1e6:g} million rows: `piga {step}`": {
             "value": peak,

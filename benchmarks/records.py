@@ -1,6 +1,6 @@
 """The ledger at 1e3, 1e4 and 1e5 records: processor time and memory of each command.
 
-Run: ``python benchmarks/records.py [--record] [COUNT ...]``.
+Run: ``python -m benchmarks.records [--record] [COUNT ...]``.
 
 One instrument has up to 3000 records, the rest belong to others, a hundred each. Each record holds a run file and a
 calibration of 5 kB (that of the instrument: 30 kB, as large as a real one). Every command runs in a process of its own.
@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-import measured as figures
+from benchmarks import measured as figures
 
 import piga
 from piga.data import copy_example

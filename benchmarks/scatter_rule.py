@@ -1,6 +1,6 @@
 """Coverage of the intervals: simulated tests with every kind of noise, calibrated as a user would.
 
-Run with ``python benchmarks/scatter_rule.py [CASE ...] [--seeds N]``; without a case, all. Prints, for each case, the share of
+Run with ``python -m benchmarks.scatter_rule [CASE ...] [--seeds N]``; without a case, all. Prints, for each case, the share of
 95 % intervals that hold the truth, the standard deviation of the errors over the median standard uncertainty, and the
 median expanded uncertainty. The simulator is NumPy alone: steps of fourth order for the motion, noise added to the angle.
 """

@@ -1,6 +1,6 @@
 """Speed of the platform chain against named baselines, in one run.
 
-Run: python benchmarks/stable_platform.py [--record]; ``--record`` puts the figures into docs/measured/platform.json.
+Run: python -m benchmarks.stable_platform [--record]; ``--record`` puts the figures into docs/measured/platform.json.
 
 Baselines: a plain J2 leapfrog in inertial axes (compiled here, nothing but the motion), and pyins
 (PyPI ``python-ins``), a strapdown navigator: its job is harder (attitude from gyro increments with coning,
@@ -20,7 +20,7 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numba
 import numpy as np
-from harness import put_down, seconds
+from benchmarks.harness import put_down, seconds
 
 from piga import earth
 from piga.platform import Navigator, compare, compensator, simulate, true_knowledge

@@ -30,12 +30,12 @@ EXCHANGEABLE = [name for name in SCENARIOS if name != "drift"]
 
 def outcomes(name: str, tests: int, workers: int = 0) -> list[Outcome]:
     """Simulated and calibrated records of one scenario; without workers they are computed in this process."""
-    seed, every = plans("coverage")
+    seed, every = plans()
     plan: Plan = next(plan for plan in every if plan.name == name)._replace(repeats=tests, bounds=200)
     if not workers:
-        return [one("coverage", seed, plan, number) for number in range(tests)]
+        return [one(seed, plan, number) for number in range(tests)]
     with ProcessPoolExecutor(workers) as pool:
-        return list(pool.map(one, repeat("coverage"), repeat(seed), repeat(plan), range(tests), chunksize=4))
+        return list(pool.map(one, repeat(seed), repeat(plan), range(tests), chunksize=4))
 
 
 def held(results: list[Outcome]) -> np.ndarray:

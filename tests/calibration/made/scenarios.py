@@ -7,12 +7,12 @@ Every scenario has constant force in each segment; its motion shares no code wit
 from __future__ import annotations
 
 from benchmarks.constant_force import PHI, SCALE, Array, ConstantForce, Joint, tumble
-from benchmarks.intervals import tests_of
+from benchmarks.intervals import scenarios
 
 __all__ = ["FAINT", "PHI", "SCALE", "SCENARIOS", "Array", "Joint", "Scenario", "tumble"]
 
 Scenario = ConstantForce
 
-FAINT = {name: test for name, test in tests_of("coverage").items() if name.startswith("faint-")}
+FAINT = {name: test for name, test in scenarios().items() if name.startswith("faint-")}
 """White noise beside a random walk that hardly shows."""
-SCENARIOS = {name: test for name, test in tests_of("coverage").items() if name not in FAINT}
+SCENARIOS = {name: test for name, test in scenarios().items() if name not in FAINT}
