@@ -48,3 +48,21 @@ def put_down(table: str, values: Mapping[str, Any], **shared: Any) -> None:
             if name in names
         }
         measured.record(table, rounded, **shared)
+
+
+def put_table(
+    table: str,
+    corner: str,
+    rows: Mapping[str, Mapping[str, measured.Value | measured.Figure]],
+    units: Mapping[str, str] | None = None,
+    *,
+    record: bool,
+    **shared: Any,
+) -> None:
+    """Print the rows of a table; if asked, write the whole table into docs/measured with what its figures share."""
+    for row, cells in rows.items():
+        print(
+            row, {column: v["value"] if isinstance(v, dict) else v for column, v in cells.items()}, flush=True
+        )
+    if record:
+        measured.write(table, corner, rows, units, **shared)

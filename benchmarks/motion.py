@@ -1,4 +1,4 @@
-"""Speed, accuracy and memory of the exact motion, with named baselines in the same run.
+"""Speed and accuracy of the exact motion, with named baselines in the same run.
 
 Run: python -m benchmarks.motion [--record]; ``--record`` puts the figures into docs/measured/motion.json.
 
@@ -14,7 +14,6 @@ import platform
 import subprocess
 import sys
 import time
-import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -196,23 +195,6 @@ def constant_stretch() -> None:
     show("constant stretch of 1e6 s, one step", (ns[0] * 1e-3, ns[1] * 1e-3), "call and checks included")
 
 
-def memory(n: int) -> None:
-    """Largest allocation during a call beside its output, for a record of n samples."""
-    t = np.arange(n) * 1e-3
-    f = np.ones((n, 3))
-    for name, work, output in (
-        ("angle and rate", lambda: propagate(INST, t, f, with_rate=True, between="linear"), 16 * n),
-        ("rate", lambda: propagate_rate(INST, t, f, between="linear"), 8 * n),
-        ("increments", lambda: propagate_increments(INST, t, f[1:]), 8 * n),
-    ):
-        work()
-        tracemalloc.start()
-        work()
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        show(f"memory beside output, {name}", (peak - output) / 1024, f"output {output / 2**20:.0f} MiB")
-
-
 FIRST_CALL = """
 import time; a = time.perf_counter()
 import numpy as np
@@ -244,7 +226,6 @@ def main() -> None:
     equal_accuracy_sampled(100.0)
     equal_accuracy_smooth(100.0)
     constant_stretch()
-    memory(1_000_000)
     start_up()
     versions = f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
     put_down("motion", RESULTS, conditions=f"{versions}, SciPy {scipy.__version__}; {os.cpu_count()} cores")

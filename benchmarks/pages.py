@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from benchmarks import measured
+from benchmarks.harness import put_table
 from benchmarks.measured import ROOT, Figure, Value, rounded
 from tests.instrument.servo_truth import Design, centrifuge_record, mean_rate, waves
 
@@ -220,18 +220,7 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.tables or TABLES:
         table = TABLES[name]()
-        for row, cells in table["rows"].items():
-            print(row, {key: v["value"] if isinstance(v, dict) else v for key, v in cells.items()}, flush=True)
-        if arguments.record:
-            command = f"python -m benchmarks.pages {name}"
-            measured.write(
-                name,
-                table["corner"],
-                table["rows"],
-                table.get("units"),
-                command=command,
-                conditions=table["conditions"],
-            )
+        put_table(name, record=arguments.record, command=f"python -m benchmarks.pages {name}", **table)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from benchmarks import measured
+from benchmarks.harness import put_table
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
@@ -332,12 +333,11 @@ def main() -> None:
         for name in wanted:
             shares = np.mean([outcome(name, seed) for seed in range(chosen.records)], axis=0) * 100.0
             rows[name] = {"records": chosen.records} | dict(zip(COLUMNS, shares.tolist(), strict=True))
-            print(name, rows[name], flush=True)
-        if chosen.record and len(wanted) == len(cases):
-            command = f"python -m benchmarks.verdict {kind} --records {chosen.records}"
-            measured.write(
-                table, "fault", rows, dict.fromkeys(COLUMNS, "%"), command=command, conditions=conditions
-            )
+        put_table(
+            table, "fault", rows, dict.fromkeys(COLUMNS, "%"), conditions=conditions,
+            record=chosen.record and len(wanted) == len(cases),
+            command=f"python -m benchmarks.verdict {kind} --records {chosen.records}",
+        )  # fmt: skip
 
 
 COLUMNS = ("outside", "outside, nothing names it", "a doubt")

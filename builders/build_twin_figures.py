@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks import measured
+from benchmarks.harness import put_table
 from benchmarks.measured import ROOT, rounded
 from scipy.integrate import solve_ivp
 from tests.compensation.twin_triad import run as run_triad
@@ -72,16 +72,20 @@ def save(figure):
     write_figure(figure, OUT / f"{figure.key}.svg")
 
 
-def row(*cells):
-    print("| " + " | ".join(str(cell) for cell in cells) + " |")
-
-
-def record(study, corner, rows, conditions, units=None):
+def record(study, corner, rows, conditions):
     """Write a table of the page."""
-    for name, cells in rows.items():
-        row(name, *(value["value"] if isinstance(value, dict) else value for value in cells.values()))
     command = f"python -m builders.build_twin_figures {study}"
-    measured.write(f"twin-{study}", corner, rows, units, command=command, conditions=conditions)
+    put_table(f"twin-{study}", corner, rows, record=True, command=command, conditions=conditions)
+
+
+def significant(value, digits, unit="1"):
+    """A cell with so many digits."""
+    return {"value": rounded(value, digits), "unit": unit}
+
+
+def fixed(value, decimals, unit="1"):
+    """A cell with so many decimals."""
+    return {"value": round(float(value), decimals) + 0.0, "unit": unit, "decimals": decimals}
 
 
 def stiffening():
@@ -93,8 +97,8 @@ def stiffening():
         p = replace(EXAMPLE, pick_off_null=1e-3, alpha0=0.2, rate_gain=0.1).stiffened(factor)
         errors.append(float(np.max(np.abs(run_twin(p, t, f).alpha - quasi))))
         rows[f"{factor:g}"] = {
-            "largest difference": {"value": rounded(errors[-1], 4), "unit": "rad"},
-            "times s": {"value": rounded(errors[-1] * factor, 4), "unit": "rad"},
+            "largest difference": significant(errors[-1], 4, "rad"),
+            "times s": significant(errors[-1] * factor, 4, "rad"),
         }
     order = -np.polyfit(np.log(factors[1:]), np.log(errors[1:]), 1)[0]
     record("stiffening", "s", rows, f"preset `example`, 2 g along, 1 g across, 10 s; fitted order {order:.3f}")
@@ -110,11 +114,6 @@ def stiffening():
     save(Figure("twin-stiffening", "Towards the quasi-steady model", (panel,)))
 
 
-def percent(ratio):
-    """How far a ratio is from 1."""
-    return {"value": round(100 * (float(ratio) - 1), 2) + 0.0, "unit": "%", "decimals": 2}
-
-
 def rectification():
     gains = np.geomspace(600.0, 6000.0, 9)
     a_x, a_t = 2 * G0, G0
@@ -128,12 +127,12 @@ def rectification():
         rows.append((w - mean, textbook, -predicted_rectification(p, a_t, w), harmonic))
         full = predicted_second_harmonic(p, a_t, w)
         table[f"{k_i:.0f}"] = {
-            "fall of the mean rate": {"value": rounded(w - mean, 5), "unit": "rad/s"},
-            "by K a_t² ml w/(2 k_i)": {"value": rounded(textbook, 5), "unit": "rad/s"},
-            "difference": percent((w - mean) / textbook),
-            "second harmonic": {"value": rounded(harmonic, 5), "unit": "rad/s"},
-            "less the same formula": percent(harmonic / textbook),
-            "less abs(G)": percent(harmonic / full),
+            "fall of the mean rate": significant(w - mean, 5, "rad/s"),
+            "by K a_t² ml w/(2 k_i)": significant(textbook, 5, "rad/s"),
+            "difference": fixed(100 * ((w - mean) / textbook - 1), 2, "%"),
+            "second harmonic": significant(harmonic, 5, "rad/s"),
+            "less the same formula": fixed(100 * (harmonic / textbook - 1), 2, "%"),
+            "less abs(G)": fixed(100 * (harmonic / full - 1), 2, "%"),
         }
     record(
         "rectification",
@@ -142,24 +141,18 @@ def rectification():
         "preset `example` with k_p = 60 and k_d = 0.1; 2 g along, 1 g across, three whole revolutions",
     )
     shift, textbook, full, harmonic = (1e6 * np.array(column) for column in zip(*rows, strict=True))
+    gain = 1e-3 * gains
+    line = Series(gain, textbook, name="K a_t² ml w/(2 k_i)", role="model")
+    compliance = Series(gain, full, name="with full compliance", role="reference", dashed=True)
     panels = tuple(
         Panel(
             Axis("integral gain", "kNm/(rad s)"),
             Axis(name, "urad/s", log=True),
-            (
-                Series(1e-3 * gains, measured, name="twin", mark="points"),
-                Series(1e-3 * gains, textbook, name="K a_t² ml w/(2 k_i)", role="model"),
-                *extra,
-            ),
+            (Series(gain, values, name="twin", mark="points"), line, *more),
             title,
         )
-        for name, title, measured, extra in (
-            (
-                "fall of the mean rate",
-                "Rectification",
-                shift,
-                (Series(1e-3 * gains, full, name="with full compliance", role="reference", dashed=True),),
-            ),
+        for name, title, values, more in (
+            ("fall of the mean rate", "Rectification", shift, (compliance,)),
             ("amplitude at order 2", "Second harmonic", harmonic, ()),
         )
     )
@@ -177,13 +170,9 @@ def coulomb():
         shifts.append((motion.beta.mean() - base[0]) / ARCSEC)
         rates.append(1e6 * (mean / base[1] - 1))
         rows[f"{1e3 * value:g} mNm"] = {
-            "shift of beta": {"value": round(shifts[-1], 3), "unit": "arcsec", "decimals": 3},
-            "-M_c/k_p": {
-                "value": round(-value / p.proportional_gain / ARCSEC, 3),
-                "unit": "arcsec",
-                "decimals": 3,
-            },
-            "change of the mean rate": {"value": round(rates[-1], 3), "unit": "ppm", "decimals": 3},
+            "shift of beta": fixed(shifts[-1], 3, "arcsec"),
+            "-M_c/k_p": fixed(-value / p.proportional_gain / ARCSEC, 3, "arcsec"),
+            "change of the mean rate": fixed(rates[-1], 3, "ppm"),
         }
     rows.pop("0 mNm")
     record("coulomb", "M_c", rows, "preset `example` without integral action; 2 g along, 0.3 g across")
@@ -221,7 +210,7 @@ def k2():
         result.append(even / (2 * G0) ** 2 * G0 * 1e6)
         predicted.append(predicted_k2(p) * G0 * 1e6)
         rows[f"{product:g} kg m²"] = {
-            name: {"value": round(float(value), 5), "unit": "µg/g²", "digits": 7, "decimals": 5}
+            name: fixed(value, 5, "µg/g²") | {"digits": 7}
             for name, value in (("twin", result[-1]), ("D K² g/(ml)", predicted[-1]))
         }
     rows.pop("0 kg m²")
@@ -278,8 +267,8 @@ def accuracy():
             motion = run_twin(p, t, f, omega, start="transient", accuracy=tolerance)
             error = np.max(np.abs(motion.alpha[::50] - truth))
             rows[f"{method}, {tolerance:.0e}".replace("e-0", "e-")] = {
-                "largest difference in alpha": {"value": rounded(error, 2), "unit": "rad"},
-                "own estimate, summed": {"value": rounded(motion.local_error, 2), "unit": "rad"},
+                "largest difference in alpha": significant(error, 2, "rad"),
+                "own estimate, summed": significant(motion.local_error, 2, "rad"),
                 "steps": int(motion.steps),
             }
     record(
@@ -291,20 +280,16 @@ def accuracy():
 
 
 def speed():
+    """Seconds for ten minutes at 1 kHz, quiet and with noise of the pick-off."""
     t, f = constant((G0, 0.3 * G0, 0.0), 600.0, 1e-3)
     noise = np.zeros_like(f)
     noise[:, 2] = 1e-7 * np.random.default_rng(1).standard_normal(t.size)
     run_twin(EXAMPLE, t[:10], f[:10])
-    inst = Instrument(EXAMPLE.K, 1e-3)
-    propagate(inst, t[:10], f[:10], between="linear")
-    started = time.perf_counter()
-    propagate(inst, t, f, between="linear")
-    row("quasi-steady", f"{time.perf_counter() - started:.2f}")
     for name, p in PRESETS.items():
         for label, held in (("quiet", None), ("pick-off noise", noise)):
             started = time.perf_counter()
             run_twin(p, t, f, noise=held)
-            row(f"twin, {name}, {label}", f"{time.perf_counter() - started:.2f}")
+            print(f"{name}, {label}: {time.perf_counter() - started:.2f} s")
 
 
 def loop():
@@ -323,7 +308,7 @@ def loop():
             "bandwidth": (a.bandwidth / 2 / math.pi, 0, "Hz"),
         }
         rows[name] = {
-            column: {"value": round(float(value), digits), "decimals": digits, "unit": unit}
+            column: fixed(value, digits, unit)
             for column, (value, digits, unit) in cells.items()
             if math.isfinite(value)
         }
@@ -348,31 +333,20 @@ def round_trip():
     raw = calibrate(run, plain)
     corrected = calibrate(replace(run, output=run.output - predicted_angle_error(test)), plain)
     full = calibrate(run)
-    names, rows = {c.name for c in raw.coefficients}, {}
+    columns = ("without the terms", raw), ("predicted error taken off", corrected), ("with the terms", full)
+    rows = {}
     for c in full.coefficients:
-        own = {"truth": truth[c.name], "without the terms": None, "predicted error taken off": None}
-        if c.name in names:
-            own |= {
-                "without the terms": raw[c.name].value,
-                "predicted error taken off": corrected[c.name].value,
-            }
-        own |= {"with the terms": c.value}
+        own = {"truth": truth[c.name]}
+        own |= {
+            column: fit[c.name].value for column, fit in columns if c.name in {b.name for b in fit.coefficients}
+        }
         rows[f"{c.name} [{c.unit}]"] = {
-            column: {"value": rounded(value, 7), "digits": 7}
-            for column, value in own.items()
-            if value is not None
+            column: {"value": rounded(value, 7), "digits": 7} for column, value in own.items()
         } | {
             "u": rounded(c.std, 2),
             "error/u": {"value": round((c.value - truth[c.name]) / c.std, 1) + 0.0, "decimals": 1},
         }
-    rows["residual, rms [rad]"] = {
-        column: rounded(cal.residual_rms, 3)
-        for column, cal in (
-            ("without the terms", raw),
-            ("predicted error taken off", corrected),
-            ("with the terms", full),
-        )
-    }
+    rows["residual, rms [rad]"] = {column: rounded(fit.residual_rms, 3) for column, fit in columns}
     record(
         "round-trip", "coefficient", rows, "`examples/twin.toml`; u is the standard uncertainty with the terms"
     )
@@ -423,22 +397,14 @@ def triad():
     )
 
 
+STUDIES = (
+    loop, stiffening, rectification, coulomb, k2, start_up, accuracy, speed, round_trip, missing_harmonic, lock, triad,
+)  # fmt: skip
+
+
 def main():
     OUT.mkdir(parents=True, exist_ok=True)
-    studies = {
-        "loop": loop,
-        "stiffening": stiffening,
-        "rectification": rectification,
-        "coulomb": coulomb,
-        "k2": k2,
-        "start-up": start_up,
-        "accuracy": accuracy,
-        "speed": speed,
-        "round-trip": round_trip,
-        "missing-harmonic": missing_harmonic,
-        "lock": lock,
-        "triad": triad,
-    }
+    studies = {study.__name__.replace("_", "-"): study for study in STUDIES}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("studies", nargs="*", choices=[*studies, []], help="all when none is named")
     for name in parser.parse_args().studies or studies:

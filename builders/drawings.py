@@ -69,11 +69,8 @@ class Drawing:
     ) -> None:
         """An arc from angle ``start`` to ``end`` [deg], counter-clockwise positive."""
         steps = [math.radians(start + (end - start) * k / 40) for k in range(41)]
-        self.curve(
-            [(centre[0] + radius * math.cos(a), centre[1] - radius * math.sin(a)) for a in steps],
-            kind,
-            head=head,
-        )
+        points = [(centre[0] + radius * math.cos(a), centre[1] - radius * math.sin(a)) for a in steps]
+        self.curve(points, kind, head=head)
 
     def circle(self, centre: Point, radius: float, kind: str = "body") -> None:
         """A circle."""
@@ -90,6 +87,11 @@ class Drawing:
             lines = words.split("|")
             for k, line in enumerate(lines):
                 self.text((x + w / 2, y + h / 2 + 5 + 18 * (k - (len(lines) - 1) / 2)), line, anchor="middle")
+
+    def tile(self, corner: Point, size: Point, kind: str, opacity: str) -> None:
+        """A rectangle without a border, filled by the class ``kind``."""
+        place = f'x="{corner[0]}" y="{corner[1]}" width="{size[0]}" height="{size[1]}"'
+        self.parts.append(f'<rect class="{kind}" opacity="{opacity}" {place}/>')
 
     def text(self, at: Point, words: str, kind: str = "", anchor: str = "start") -> None:
         """Words at a place; ``kind`` of a line gives them its colour."""
@@ -115,6 +117,12 @@ def isometric(origin: Point, x: float, y: float, z: float) -> Point:
     """A point in space on the drawing: x up, y to the lower left, z to the lower right (right-handed)."""
     c, s = math.cos(math.radians(30)), 0.5
     return origin[0] + c * (z - y), origin[1] - x + s * (y + z)
+
+
+def ellipse(centre: Point, radii: Point, start: float = 0.0, end: float = 360.0) -> list[Point]:
+    """Points of an ellipse from angle ``start`` to ``end`` [deg], counter-clockwise positive, 4.5 deg apart."""
+    angles = [math.radians(start + 4.5 * k) for k in range(round((end - start) / 4.5) + 1)]
+    return [(centre[0] + radii[0] * math.cos(a), centre[1] - radii[1] * math.sin(a)) for a in angles]
 
 
 def instrument() -> Drawing:
@@ -156,10 +164,10 @@ def instrument() -> Drawing:
     d.circle(mass, 9, "solid")
     d.line((mass[0] + 3, mass[1] - 10), (mass[0] + 22, mass[1] - 66), kind="n thin")
     d.text((mass[0] + 6, mass[1] - 72), "pendulous mass: m l")
-    d.text(
-        (20, 478),
-        "H: angular momentum along z.   K = m l / H.   The output is the angle α of the outer gimbal about X_0,",
+    symbols = (
+        "H: angular momentum along z.   K = m l / H.   The output is the angle α of the outer gimbal about X_0,"
     )
+    d.text((20, 478), symbols)
     d.text((20, 502), "positive from Y_0 to Z_0. It is read as ψ from an arbitrary zero:  α = ψ + φ.")
     return d
 
@@ -170,17 +178,15 @@ def effective_axis() -> Drawing:
     top, foot = 70, 290
     centre = (220, foot)
     d.arrow((220, 320), (220, 40), "X_0", "n")
-    ellipse = [
-        (220 + 95 * math.cos(a), top + 30 - 22 * math.sin(a)) for a in [k * math.pi / 40 for k in range(81)]
-    ]
-    d.curve(ellipse, "b thin dash")
+    cone = ellipse((220, top + 30), (95, 22))
+    d.curve(cone, "b thin dash")
     d.line(centre, (125, top + 30), kind="n thin dash")
     d.line(centre, (315, top + 30), kind="n thin dash")
     axis = (220 + 95 * math.cos(0.6), top + 30 + 22 * math.sin(0.6))
     d.arrow(centre, axis, "n(α)", "b", (22, 10))
     d.arc(centre, 120, 90, 68, "r", head=False)
     d.text((236, 160), "β", "r")
-    d.curve(ellipse[4:26], "b", head=True)
+    d.curve(cone[4:26], "b", head=True)
     d.text((330, top + 4), "turns with α: one turn of the gimbal is one turn on the cone", "b")
     d.text((380, 170), "The output rate is K f · n(α):")
     d.text((380, 200), "α′ = K ( a_x + tan β ( a_Y sin α − a_Z cos α ) )", "head")
@@ -250,10 +256,7 @@ def rate_table() -> Drawing:
     d.box((180, 244), (60, 40))
     d.box((175, 150), (70, 70))
     d.arrow((210, 185), (210, 50), "X_0 = axis of the table", "b")
-    ellipse = [
-        (210 + 70 * math.cos(a), 100 - 14 * math.sin(a)) for a in [k * math.pi / 40 for k in range(-30, 31)]
-    ]
-    d.curve(ellipse, "g", head=True)
+    d.curve(ellipse((210, 100), (70, 14), -135.0, 135.0), "g", head=True)
     d.text((290, 104), "Ω_x", "g")
     d.text((400, 90), "The gimbal keeps its direction in space, so the output")
     d.text((400, 112), "shows the rate of the base with the opposite sign:")
@@ -286,21 +289,13 @@ def triad() -> Drawing:
     """Three instruments in one body."""
     d = Drawing(880, 380, "A triad: three instruments, the directions of their input axes and gimbals")
     at: Callable[..., Point] = lambda x, y, z: isometric((230, 220), x, y, z)  # noqa: E731
-    for axis, word in (((1, 0, 0), "x"), ((0, 1, 0), "y"), ((0, 0, 1), "z")):
-        d.arrow(
-            at(0, 0, 0),
-            at(*(170 * v for v in axis)),
-            f"body {word}",
-            "n",
-            (10, 6) if word != "y" else (-62, 10),
-        )
-        end = at(
-            *(
-                150 * v + 26 * (k == 1 and word == "x") + 22 * (k == 0 and word != "x")
-                for k, v in enumerate(axis)
-            )
-        )
-        d.arrow(at(0, 0, 0), end, f"X_0 of {word}", "b", {"x": (-64, 0), "y": (-70, -6), "z": (12, 2)}[word])
+    for word, body, shift, axis, place in (
+        ("x", (170, 0, 0), (10, 6), (150, 26, 0), (-64, 0)),
+        ("y", (0, 170, 0), (-62, 10), (22, 150, 0), (-70, -6)),
+        ("z", (0, 0, 170), (10, 6), (22, 0, 150), (12, 2)),
+    ):
+        d.arrow(at(0, 0, 0), at(*body), f"body {word}", "n", shift)
+        d.arrow(at(0, 0, 0), at(*axis), f"X_0 of {word}", "b", place)
     d.text((430, 100), "Each instrument reads K_i f · n_i(α_i).")
     d.text((430, 130), "n_i is known from its mounting and its own")
     d.text((430, 152), "calibration, α_i from its output.")
@@ -356,11 +351,8 @@ def servo_loop() -> Drawing:
     d.line((420, 228), (475, 228))
     d.arrow((475, 228), (475, 150))
     d.text((486, 196), "torque of the motor", "n")
-    d.text(
-        (50, 290),
-        "Gravity across X_0 pulls on the mass once a turn. The loop gives way a little: the term servo.",
-        "small",
-    )
+    servo = "Gravity across X_0 pulls on the mass once a turn. The loop gives way a little: the term servo."
+    d.text((50, 290), servo, "small")
     return d
 
 
@@ -374,14 +366,13 @@ def data_flow() -> Drawing:
             d.arrow((170 + 190 * (k - 1), 72), (20 + 190 * k, 72))
     for k, word in enumerate(("piga init", "piga check", "piga calibrate")):
         d.text((190 + 190 * k, 34), word, "fb small", "middle")
-    for k, (name, word) in enumerate(
-        (
-            ("report", "--report"),
-            ("certificate", "piga certificate"),
-            ("corrected force", "piga compensate"),
-            ("trend", "piga records"),
-        )
-    ):
+    results = {
+        "report": "--report",
+        "certificate": "piga certificate",
+        "corrected force": "piga compensate",
+        "trend": "piga records",
+    }
+    for k, (name, word) in enumerate(results.items()):
         d.box((20 + 190 * k, 176), (150, 48), name)
         d.line((665, 104), (665, 140), (95 + 190 * k, 140))
         d.arrow((95 + 190 * k, 140), (95 + 190 * k, 176))
@@ -421,11 +412,8 @@ def terms_and_stands() -> Drawing:
     d.circle((30, 398), 8, "fb")
     d.text((46, 403), "shows it", "small")
     d.path("M142 398 a8 8 0 1 0 16 0 a8 8 0 1 0 -16 0", "b")
-    d.text(
-        (166, 403),
-        "shows it if another term is fixed, or if the temperature changes apart from the positions",
-        "small",
-    )
+    partly = "shows it if another term is fixed, or if the temperature changes apart from the positions"
+    d.text((166, 403), partly, "small")
     return d
 
 
@@ -439,9 +427,8 @@ def _chart(d: Drawing, corner: Point, size: Point, words: str, good: bool) -> No
 
 def _noise(count: int, seed: int) -> list[float]:
     """Numbers between -1 and 1 that look like noise, the same in each build."""
-    return [
-        ((math.sin(12.9898 * (k + 1) + 78.233 * seed) * 43758.5453) % 1.0) * 2.0 - 1.0 for k in range(count)
-    ]
+    waves = (math.sin(12.9898 * (k + 1) + 78.233 * seed) * 43758.5453 for k in range(count))
+    return [(wave % 1.0) * 2.0 - 1.0 for wave in waves]
 
 
 def residuals() -> Drawing:
@@ -501,18 +488,14 @@ def triangle() -> Drawing:
     for k in range(len(names)):
         for j in range(k + 1):
             kind = "fr" if k == len(names) - 1 else "fb" if k == len(names) - 2 else "fn"
-            d.parts.append(
-                f'<rect class="{kind}" opacity=".75" x="{345 + 24 * k}" y="{78 + 24 * j}" width="20" height="20"/>'
-            )
+            d.tile((345 + 24 * k, 78 + 24 * j), (20, 20), kind, ".75")
     d.text((345, 275), "7 x 7, whatever the length", "small n")
     d.arrow((530, 165), (620, 165))
     d.text((575, 142), "add up", "fb small", "middle")
     for n in range(3):
         for k in range(5):
             for j in range(k + 1):
-                d.parts.append(
-                    f'<rect class="fn" opacity=".6" x="{640 + 14 * k}" y="{40 + 84 * n + 14 * j}" width="11" height="11"/>'
-                )
+                d.tile((640 + 14 * k, 40 + 84 * n + 14 * j), (11, 11), "fn", ".6")
         d.text((722, 80 + 84 * n), f"position {n + 1}", "small n")
     d.text((640, 312), "K, tan β, k_0 … and their scatter", "small")
     return d
@@ -533,47 +516,16 @@ def scatter() -> Drawing:
             d.line((at[0], at[1] - 22), (at[0], at[1] + 22), kind="thin b")
             d.circle(at, 4, "fb")
         half = 24 if not side else 66
-        d.parts.append(
-            f'<rect class="{FILLS[kind]}" opacity=".15" x="{x}" y="{150 - half}" width="380" height="{2 * half}"/>'
-        )
+        d.tile((x, 150 - half), (380, 2 * half), FILLS[kind], ".15")
         d.text((x, 268), "bar: noise within the position. Band: scatter of all positions.", "small n")
-    d.text(
-        (40, 290),
-        "U is Student's t times the scatter over the root of the number of positions, with their degrees of freedom.",
-        "small",
-    )
+    rule = "U is Student's t times the scatter over the root of the number of positions, with their degrees of freedom."
+    d.text((40, 290), rule, "small")
     return d
 
 
 def _measured(name: str) -> list[dict[str, Any]]:
     """Figures of a table of ``docs/measured``."""
     return list(json.loads((FOLDER.parent / "measured" / f"{name}.json").read_text("utf-8"))["figures"])
-
-
-def _shares(d: Drawing, y: float, words: str, shares: Sequence[tuple[Sequence[float], str]]) -> None:
-    """A row of coverages [%]: from the worst to the best coefficient, one line for each of ``shares``."""
-    d.parts.append(f'<text class="small" x="20" y="{y + 5}">{escape(words)}</text>')
-    for k, (span, kind) in enumerate(shares):
-        low, high = (640.0 + 7.0 * (share - 70.0) for share in (min(span), max(span)))
-        at = y + 7 * (k - (len(shares) - 1) / 2)
-        d.line((low, at), (high, at), kind=kind)
-        for x in (low, high):
-            d.circle((x, at), 3.5, FILLS[kind])
-
-
-def _coverage_axis(d: Drawing, bottom: float) -> None:
-    """Shares from 70 to 100 %, with the band of the goal."""
-    d.parts.append(f'<rect class="fg" opacity=".15" x="801" y="36" width="28" height="{bottom - 36}"/>')
-    for share in (70, 80, 90, 95, 100):
-        x = 640 + 7 * (share - 70)
-        d.line((x, 36), (x, bottom), kind="thin n")
-        if share != 95:
-            d.text((x, 26), f"{share} %", "small n", "middle")
-    d.text(
-        (20, bottom + 24),
-        "Share of 95 % intervals that hold: worst and best coefficient. Green: the goal, 93 to 97 %.",
-        "small",
-    )
 
 
 def scenarios() -> Drawing:
@@ -584,37 +536,31 @@ def scenarios() -> Drawing:
         for figure in _measured(name)
         if figure["column"] == column
     ]
-    d = Drawing(900, 100 + 24 * len(rows), "Coverage of 95 % intervals by scenario")
-    _coverage_axis(d, 46 + 24 * len(rows))
+    bottom = 46 + 24 * len(rows)
+    d = Drawing(900, bottom + 54, "Coverage of 95 % intervals by scenario")
+    d.tile((801, 36), (28, bottom - 36), "fg", ".15")
+    for share in (70, 80, 90, 95, 100):
+        x = 640 + 7 * (share - 70)
+        d.line((x, 36), (x, bottom), kind="thin n")
+        if share != 95:
+            d.text((x, 26), f"{share} %", "small n", "middle")
+    hold = "Share of 95 % intervals that hold: worst and best coefficient. Green: the goal, 93 to 97 %."
+    d.text((20, bottom + 24), hold, "small")
     for k, (words, span, kind) in enumerate(rows):
-        _shares(d, 54 + 24 * k, words, [(span if isinstance(span, list) else [span], kind)])
-    d.text(
-        (20, 92 + 24 * len(rows)),
-        "Blue: 200 tests of piga's simulator each. Red: independent simulation, 40 to 150 records each.",
-        "small",
-    )
-    return d
-
-
-def coverage() -> Drawing:
-    """Coverage of the intervals by version: 0.2.0 (grey) and today (blue), same scenarios."""
-    today = {str(f["row"]): f["value"] for f in _measured("intervals") if f["column"] == "coverage"}
-    before = {str(f["row"]): f["value"] for f in _measured("intervals-before")}
-    d = Drawing(900, 100 + 34 * len(today), "Coverage of 95 % intervals in version 0.2.0 and today")
-    _coverage_axis(d, 46 + 34 * len(today))
-    for k, (words, span) in enumerate(today.items()):
-        _shares(d, 60 + 34 * k, words, [(before[words], "n"), (span, "b")])
-    d.text(
-        (20, 92 + 34 * len(today)),
-        "Grey: version 0.2.0, 1000 tests each. Blue: today, 200 tests each.",
-        "small",
-    )
+        y, shares = 54 + 24 * k, span if isinstance(span, list) else [span]
+        d.parts.append(f'<text class="small" x="20" y="{y + 5}">{escape(words)}</text>')
+        ends = [(640.0 + 7.0 * (share - 70.0), y) for share in (min(shares), max(shares))]
+        d.line(*ends, kind=kind)
+        for end in ends:
+            d.circle(end, 3.5, FILLS[kind])
+    colours = "Blue: 200 tests of piga's simulator each. Red: independent simulation, 40 to 150 records each."
+    d.text((20, bottom + 46), colours, "small")
     return d
 
 
 DRAWINGS = (
     instrument, effective_axis, dividing_head, centrifuge, rate_table, vibration_table, triad, platform, servo_loop, data_flow,
-    terms_and_stands, residuals, triangle, scatter, scenarios, coverage,
+    terms_and_stands, residuals, triangle, scatter, scenarios,
 )  # fmt: skip
 
 
