@@ -19,7 +19,6 @@ from piga.records.text_files import files_named_in
 from tests.cli.runner import outcome
 from tests.compensation.run_files import command as compensate
 from tests.compensation.run_files import write
-from tests.kills import kills
 
 Capture = pytest.CaptureFixture[str]
 NAMES = ("a.txt", "b.txt", "figures/*")
@@ -279,47 +278,6 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 SCENARIO = EXAMPLES / "dividing-head.toml"
 
 
-@pytest.mark.slow
-@pytest.mark.long
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="kill -9 is POSIX")
-@pytest.mark.parametrize("name", ["simulate", "calibrate", "platform", "demo"])
-def test_many_kills_of_a_command(tmp_path: Path, name: str) -> None:
-    """Fifty kills each; the folder holds the files of one run, by their times, and a last run leaves nothing hidden."""
-    out = tmp_path / "out"
-    more: dict[str, list[str]] = {
-        "simulate": ["simulate", str(SCENARIO)],
-        "calibrate": ["calibrate", str(tmp_path / "demo" / "tumble-a.toml")],
-        "platform": ["platform", "simulate", str(tmp_path / "platform.toml")],
-        "demo": ["demo"],
-    }
-    if name == "platform":
-        text = (EXAMPLES / "platform-published.toml").read_text()
-        assert 'duration = "10 d"' in text
-        (tmp_path / "platform.toml").write_text(text.replace('duration = "10 d"', 'duration = "1 h"'))
-    if name == "calibrate":
-        words = [sys.executable, "-m", "piga", "demo", "--out", str(tmp_path / "demo")]
-        subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
-    words = [*more[name], "--out", str(out), "--force"]
-    first: list[str] = []
-    states, killed = set(), 0
-    for fate in kills(50, words):
-        killed += fate == "killed"
-        if out.exists() and not list(out.glob(".piga-moving-*")):
-            (mark,) = out.glob(".piga-results-*.json")
-            files = output.json.loads(mark.read_text())["files"]
-            assert {path: output._state(out / path) for path in files} == files
-            first = first or held_names(out)
-            assert held_names(out) == first
-            states.add(str(files))
-    assert killed > 25
-    assert states
-    assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
-
-
-def held_names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.glob("[!.]*"))
-
-
 def test_an_edited_run_file_is_not_simulated_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -336,12 +294,6 @@ def test_an_edited_run_file_is_not_simulated_over(
     code, _, said = outcome(capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force")
     assert code == 2
     assert "is the input" in said
-
-
-@pytest.mark.parametrize("name", ["a" * 251 + ".csv", "长" * 83 + ".csv", "a." + "b" * 250])
-def test_names_as_long_as_a_file_system_takes(tmp_path: Path, name: str) -> None:
-    output.write_whole(tmp_path / name, lambda path: path.write_text("x"))
-    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

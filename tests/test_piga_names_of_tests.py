@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
 
-import pytest
-
 TESTS = Path(__file__).parent
 PACKAGE = TESTS.parent / "src" / "piga"
 OUTSIDE = {"docs": "the documentation is no module"}
@@ -29,24 +27,3 @@ def test_every_file_is_named_by_its_module() -> None:
     files = [PurePosixPath(path.relative_to(TESTS).as_posix()) for path in TESTS.rglob("test_*.py")]
     lost = sorted(str(path) for path in files if path.parts[0] not in OUTSIDE and not is_found(path))
     assert not lost, f"no module of the same folder below src/piga has this name: {', '.join(lost)}"
-
-
-@pytest.mark.parametrize(
-    ("path", "found"),
-    [
-        ("test_units.py", True),
-        ("test_piga_packages.py", True),
-        ("trend/test_trend.py", True),
-        ("trend/test_history_of_a_drift.py", True),
-        ("trend/test_histories.py", False),
-        ("trend/test_units.py", False),
-        ("test_history.py", False),
-        ("no_room/test_no_room.py", False),
-    ],
-)
-def test_names_that_are_found(path: str, found: bool) -> None:
-    assert is_found(PurePosixPath(path)) is found
-
-
-def test_the_folders_outside_of_the_rule_are_there() -> None:
-    assert [name for name in OUTSIDE if not (TESTS / name).is_dir()] == []

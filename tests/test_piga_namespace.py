@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import pydoc
 import subprocess
 import sys
 
@@ -38,20 +37,6 @@ def test_every_public_name_of_a_room_is_there_and_says_what_it_is(room):
             assert value.__doc__, f"{room}.{name}"
     with pytest.raises(AttributeError, match="nothing"):
         _ = module.nothing
-
-
-def test_help_leads_to_every_task():
-    text = pydoc.render_doc(piga)
-    for name in (
-        "calibrate",
-        "compensate",
-        "run_scenario",
-        "plan_test",
-        "find_trend",
-        "open_store",
-        "from_dataframe",
-    ):
-        assert f"piga.{name}" in text or f"Run.{name}" in text
 
 
 def test_closed_form_takes_a_force_as_propagate_does():

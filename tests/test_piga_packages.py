@@ -120,26 +120,3 @@ def test_a_command_that_needs_more_says_which_extra(tmp_path: Path):
     assert done.returncode == 2
     assert "pip install 'piga[lab]'" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / ".github" / "workflows").glob("*.yml")), ids=lambda path: path.name
-)
-def test_a_workflow_can_be_read_and_names_what_exists(path):
-    """Tasks of dev.py and nox, and files; a line with ``: `` in it was no YAML."""
-    yaml = pytest.importorskip("yaml")
-    tasks = {"demo", "ui", "test", "nox"}
-    sessions = set(
-        re.findall(r"^@nox.session.*\ndef (\w+)", (ROOT / "noxfile.py").read_text("utf-8"), re.MULTILINE)
-    )
-    lines = [
-        step["run"]
-        for job in yaml.safe_load(path.read_text("utf-8"))["jobs"].values()
-        for step in job["steps"]
-        if "run" in step
-    ]
-    assert lines
-    for line in lines:
-        assert set(re.findall(r"dev\.py (\w+)", line)) <= tasks, line
-        assert set(re.findall(r"nox -s (\w+)", line)) <= sessions, line
-        assert all((ROOT / name).exists() for name in re.findall(r"(?:tests|requirements)[\w/.-]*", line)), line

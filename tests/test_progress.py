@@ -12,9 +12,7 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.progress import Steps, report
 from piga.records.run_file import UncertaintyTable
-from piga.studies import capstone
 from piga.units import G0
 from tests.short_record import SCALE, TERMS
 
@@ -38,14 +36,6 @@ def test_calibrate_says_its_steps(run, cal):
     assert [step[2] for step in steps][:2] == ["fitting the model", "finding the intervals"]
     assert goes_up(steps)
     assert result["k0"] == cal["k0"]
-
-
-def test_none_and_true_go_on_and_only_false_stops():
-    for answer in (None, True, 0, ""):
-        report(lambda *_, answer=answer: answer, 0, 1, "x")
-    with pytest.raises(piga.CancelledError):
-        report(lambda *_: False, 0, 1, "x")
-    report(None, 0, 1, "x")
 
 
 def test_an_error_of_the_callers_function_reaches_the_caller(run, cal):
@@ -83,15 +73,6 @@ def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
     scenario = piga.platform.load_scenario(EXAMPLES / "platform-published.toml")
     with pytest.raises(piga.CancelledError, match="simulating"):
         piga.platform.compare(scenario, progress=lambda *_: False)
-
-
-def test_steps_count():
-    said = []
-    steps = Steps(lambda *where: said.append(where), 2)
-    steps("a")
-    steps("b")
-    steps.finish()
-    assert said == [(0, 2, "a"), (1, 2, "b"), (2, 2, "done")]
 
 
 def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., object]]:
@@ -188,25 +169,3 @@ def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["out.parquet"]
     assert write(np.inf) == [100, 200, 300, 400, 500, 600, 700, 800]
     assert pa.parquet.read_table(out)["ax"].to_numpy().tobytes() == result.ax.tobytes()
-
-
-@pytest.mark.long
-def test_a_capstone_and_a_platform_budget_tell_their_steps():
-    scenario = piga.platform.load_scenario(EXAMPLES / "platform-piga.toml")
-    short = replace(scenario, duration=7200.0, calibration_time=3600.0)
-    _, steps = heard(lambda progress: capstone(short, progress=progress))
-    assert goes_up(steps)
-    assert steps[2][2].startswith("navigating, ")
-    sources = dict(list(piga.platform.standard_sources().items())[:2])
-    rows, steps = heard(lambda progress: piga.platform.error_budget(short, sources, progress=progress))
-    assert goes_up(steps)
-    assert [row.source for row in rows] == [*sources, "all together"]
-    assert [step[2] for step in steps][2:-1] == [
-        f"navigating with {name}" for name in (*sources, "all together")
-    ]
-    for call in (
-        capstone,
-        lambda s, progress: piga.platform.error_budget(s, sources, progress=progress),
-    ):
-        with pytest.raises(piga.CancelledError, match="simulating"):
-            call(short, progress=lambda *_: False)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, field, replace
-from unittest import mock
 
 import numpy as np
 import pytest
 
 import piga
 from piga.results import ByValue, same
-from tests.short_record import a_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +30,6 @@ def test_equal_means_equal_values():
     assert held() == held()
     assert held() == held(values=np.array([1, math.nan, 0.0]))
     assert held() == held(ignored=1)
-
-
-def test_what_equals_anything_still_does(cal):
-    assert cal == mock.ANY
-    assert cal.budget == mock.ANY
 
 
 @pytest.mark.parametrize(
@@ -65,26 +57,9 @@ def test_other_kinds_are_not_equal_and_nothing_raises():
     assert same([np.arange(2)], [np.arange(2)])
 
 
-def test_runs_and_calibrations_compare(run, cal):
-    assert run == a_run()
-    moved = replace(run, t=run.t + 1.0)
-    assert run != moved
-    assert cal == copy.copy(cal)
-    assert cal != run
-
-
 def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
     cal.to_json(tmp_path / "c.json")
     again = piga.Calibration.from_json(tmp_path / "c.json")
     assert again == cal
     assert again != replace(cal, serial="T-2")
     assert again != replace(cal, covariance=2.0 * cal.covariance)
-
-
-def test_a_copy_keeps_the_residuals(cal):
-    assert copy.copy(cal).residuals is cal.residuals
-    deep = copy.deepcopy(cal)
-    assert deep == cal
-    assert deep.residuals == cal.residuals
-    assert deep.residuals.t is not cal.residuals.t
-    assert deep.covariance is not cal.covariance

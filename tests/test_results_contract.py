@@ -6,12 +6,9 @@ import copy
 import dataclasses
 import importlib
 import inspect
-import multiprocessing
-import pickle
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -22,7 +19,7 @@ import piga
 from piga.results import Result, Tabular
 from piga.studies import capstone
 from tests.planning.cases import request
-from tests.short_record import SCALE, a_run, pickled
+from tests.short_record import SCALE, pickled
 
 ROOT = Path(__file__).parents[1]
 
@@ -205,25 +202,3 @@ def test_a_table_goes_to_polars_and_pandas_and_back(samples, name):
     assert pl.DataFrame(arrow).shape == pd.DataFrame(value.to_dataframe()).shape == arrow.shape
     assert pl.DataFrame(arrow).to_arrow().num_rows == arrow.num_rows
     assert hasattr(value, "__arrow_c_stream__")
-
-
-def same_after(value: object) -> tuple[object, str]:
-    """In another process: the value, and its repr there."""
-    return value, repr(value)
-
-
-@pytest.mark.long
-def test_results_travel_through_spawn(samples):
-    sent = [samples[name] for name in NAMES]
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        answers = pool.map(same_after, sent)
-    for value, (again, shown) in zip(sent, answers, strict=True):
-        assert again == value
-        assert shown == repr(pickle.loads(pickle.dumps(value)))  # noqa: S301 - our own bytes
-
-
-def test_a_run_file_is_hashable_or_says_so():
-    """Tables of TOML files are frozen structs, compared by value."""
-    table = a_run(uncertainty={"reference_scale": "1 ppm"}).uncertainty
-    assert table == msgspec.structs.replace(table)
-    assert table != msgspec.structs.replace(table, reference_scale="2 ppm")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import subprocess
 import sys
-import types
 from dataclasses import replace
 from html import unescape
 
@@ -14,20 +12,6 @@ import numpy as np
 import pytest
 
 import piga
-from piga import doors
-from piga.reports import Axis, Figure, Panel, Series
-from piga.reports.render.axes import draw
-from piga.results import in_words
-from tests.short_record import a_run
-
-
-@pytest.mark.parametrize("name", [name for name in vars(doors) if not name.startswith("_")])
-def test_every_door_leads_to_a_module(name):
-    door = getattr(doors, name)
-    if name.startswith("shown_"):
-        assert all(callable(getattr(door(), part)) for part in ("page", "brief", "figures"))
-    elif isinstance(door, types.FunctionType):
-        assert isinstance(door(), types.ModuleType)
 
 
 def test_repr_of_a_calibration_has_ten_lines_at_most(cal):
@@ -40,32 +24,6 @@ def test_repr_of_a_calibration_has_ten_lines_at_most(cal):
     assert "and 36 more" in lines[5]
     assert "more: summary()" in lines[-1]
     assert len(repr(noted)) < 3000
-
-
-def test_repr_of_a_run_says_what_it_is(run):
-    shown = repr(run)
-    assert len(shown.splitlines()) <= 10
-    assert "samples: 800 of 800 rows; output is the angle" in shown
-    assert "2: 0, 1" in shown
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        (np.zeros((4, 3)), "array 4 x 3"),
-        (np.array([1.0, 2.5]), "array 2, 1 to 2.5"),
-        (np.zeros(0), "array 0"),
-        (np.array(["a"]), "array 1"),
-        (1.23456789, "1.23457"),
-        ((1, 2), "1, 2"),
-        (tuple(range(11)), "11 items"),
-        ({"a": 1}, "1 entries: a"),
-        (None, "None"),
-        (Axis("t", "s"), "Axis"),
-    ],
-)
-def test_values_in_words(value, words):
-    assert in_words(value) == words
 
 
 @pytest.fixture
@@ -88,14 +46,6 @@ def test_the_card_of_a_calibration_is_the_report_s_table(cal, alone):
 
 def test_a_serial_cannot_become_markup(cal):
     assert "<b>" not in replace(cal, serial="<b>x")._repr_html_()
-
-
-def test_a_card_needs_no_matplotlib():
-    code = (
-        "import sys, piga; c = piga.Calibration.from_coefficients({'scale_factor': 0.9}); assert c._repr_html_()\n"
-        "assert 'matplotlib' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 GIVEN = "import piga\nc = piga.Calibration.from_coefficients({'scale_factor': (0.9, 1e-6)})\n"
@@ -187,47 +137,6 @@ def test_given_coefficients_say_nothing_of_residuals(tmp_path):
             getattr(given.plot, name)()
 
 
-def test_a_coefficient_shows_itself(cal):
-    html = cal["k0"]._repr_html_()
-    assert "95 % interval" in html
-    assert "bias" in html
-
-
-def test_runs_and_compensations_plot(run, cal):
-    assert labelled(run.plot())
-    assert len(run.plot().axes) == 3
-    result = piga.compensate(run, cal)
-    assert len(result.plot().axes) == 3
-    assert labelled(result.plot())
-    alone = replace(result, made_from=None)
-    assert labelled(alone.plot())
-    assert copy.copy(result).made_from is not None
-    assert labelled(cal.residuals.plot())
-    assert "rows: 800" in repr(result)
-    assert "<svg" in result._repr_html_()
-
-
-@pytest.mark.long
-def test_every_mark_is_drawn():
-    x, y = np.arange(1.0, 6.0), np.array([1.0, 2.0, np.nan, 4.0, 3.0])
-    marks = ("line", "points", "line+points", "bars", "steps")
-    series = [Series(x, y, mark, mark) for mark in marks]
-    series += [Series(x, y, "band", "band", upper=y + 1.0), Series(x, y, "bar", "points", error=0.1 * x)]
-    panels = tuple(
-        Panel(Axis("x", "s", log=True, limits=(0.5, 9.0)), Axis("y", "1"), (s,), s.name) for s in series
-    )
-    figure = Figure(
-        "marks", "Marks.", (*panels, Panel(Axis("date", "", dates=True), Axis("y", "m"), (series[0],)))
-    )
-    drawn = draw(figure)
-    assert len(drawn.axes) == len(series) + 1
-    assert drawn.axes[0].get_xlim() == (0.5, 9.0)
-    assert drawn.axes[3].patches
-    assert drawn.axes[5].collections
-    assert drawn._repr_png_().startswith(b"\x89PNG")
-    assert "<svg" in figure._repr_html_()
-
-
 def test_summary_and_report(run, cal, tmp_path):
     assert all(c.key in cal.summary() for c in cal.values())
     assert "Segments: 2" in run.summary()
@@ -242,12 +151,3 @@ def test_summary_and_report(run, cal, tmp_path):
         cal.report(tmp_path / "missing" / "r.html")
     with pytest.raises(piga.CalibrationError, match="without its record"):
         replace(result, made_from=None).report(tmp_path / "x.html")
-
-
-def test_a_rate_record_shows_itself_too():
-    from tests.records.calibration.test_verdict import rate_log
-
-    run = rate_log()
-    assert labelled(run.plot())
-    assert "output is the rate" in repr(run)
-    assert a_run(temperature=np.full(800, 293.0)).in_brief()[5] == ("beside force", "temperature")

@@ -86,17 +86,6 @@ def test_xarray_has_units_and_a_labelled_covariance(run, cal):
     assert "t" in record.coords
 
 
-def test_a_rate_log_and_its_residuals_have_rates():
-    from tests.records.calibration.test_verdict import TERMS, rate_log
-
-    run = rate_log()
-    assert run.table_columns()["output"].unit == "rad/s"
-    calibration = piga.calibrate(run, TERMS)
-    assert calibration.residuals.table_columns()["after"].unit == "rad/s"
-    joint = piga.calibrate([run, rate_log(harmonic=1e-9)], TERMS)
-    assert joint.residuals.table_columns()["after"].unit == "rad/s"
-
-
 def test_uncertainties_have_the_whole_covariance(cal):
     made = cal.correlated("uncertainties")
     assert list(made) == list(cal)

@@ -31,19 +31,6 @@ def test_one_inside_and_the_former_number_outside() -> None:
         assert counts() == before
 
 
-def test_after_an_error_too() -> None:
-    @one_thread()
-    def fails() -> None:
-        assert counts() == {1}
-        raise ZeroDivisionError
-
-    with threadpool_limits(limits=2, user_api="blas"):
-        before = counts()
-        with pytest.raises(ZeroDivisionError):
-            fails()
-        assert counts() == before
-
-
 def test_a_stop_during_the_search_for_libraries_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search runs inside a callback of C, where Python prints an interrupt and forgets it."""
     ended = []

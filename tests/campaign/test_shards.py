@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from piga.campaign import collect, open_campaign, plan_campaign, run_campaign
-from piga.campaign.shards import read_part, run_shard, shard_size
+from piga.campaign.shards import read_part, run_shard
 from piga.errors import DataError, PigaError
 from tests.campaign.small import ROOT, SMALL, computed, rows, written
 
@@ -22,22 +22,6 @@ def test_manifest_is_a_function_of_the_file(tmp_path):
     assert first.key == second.key
     other = written(tmp_path, SMALL.replace("seed = 7", "seed = 8"), "other.toml")
     assert plan_campaign(other, tmp_path / "c").key != first.key
-
-
-@pytest.mark.long
-def test_cut_is_measured_once_and_kept(tmp_path):
-    path = written(tmp_path, SMALL.replace("records_per_shard = 4\n", ""))
-    first = plan_campaign(path, tmp_path / "a")
-    assert first.manifest.seconds_per_record > 0.0
-    assert plan_campaign(path, tmp_path / "a").manifest == first.manifest
-
-
-@pytest.mark.parametrize(
-    ("records", "seconds", "size"),
-    [(10_000, 0.05, 500), (1_000_000, 0.05, 2000), (10, 30.0, 1), (5, 500.0, 1), (64, 1.0, 2), (1, 1e-3, 1)],
-)
-def test_shards_last_two_minutes_and_are_not_fewer_than_sixteen(records, seconds, size):
-    assert shard_size(records, seconds) == size
 
 
 def test_folder_of_another_campaign(tmp_path):

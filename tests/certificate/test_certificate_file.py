@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import pytest
@@ -27,7 +26,7 @@ from piga.certificate.certificate_file import (
 from piga.certificate.page import certificate_html
 from piga.certificate.statements import verdicts
 from piga.errors import CalibrationError, PigaError, RunFileError
-from tests.certificate.certificate_data import EXAMPLE, budgeted, changed, complete
+from tests.certificate.certificate_data import budgeted, changed, complete
 from tests.reports.example import calibration
 
 
@@ -309,10 +308,6 @@ def test_every_printed_page_carries_the_number(cal, tmp_path):
         assert "Calibration certificate A/1 é-7" in content
         assert re.search(rf"Certificate A/1 é-7\s+Page {number} of {len(pages)}", content)
     assert "End of certificate A/1 é-7" in pages[-1]
-
-
-def test_the_example_is_shipped():
-    assert Path(EXAMPLE).is_file()
 
 
 def test_a_given_servo_without_an_uncertainty_is_certified(cal):

@@ -8,10 +8,8 @@ import re
 
 import pytest
 
-from piga.records.calibration.document import to_document
 from tests.certificate.certificate_data import EXAMPLE, budgeted, complete, key_pair
 from tests.cli.runner import outcome
-from tests.cli.test_cli_commands import piga
 from tests.reports.example import calibration
 
 pytest.importorskip("signxml")
@@ -26,44 +24,33 @@ def lab(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def certificate(lab, monkeypatch, capsys):
+    """Run ``piga certificate ...`` in the folder of the laboratory: exit code, stdout and stderr."""
+    monkeypatch.chdir(lab)
+    return lambda *words: outcome(capsys, "certificate", *words)
+
+
 @pytest.mark.long
-def test_issue_verify_read(lab, tmp_path):
-    done = piga(
-        "certificate", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--dcc", "--key", "lab-key.pem",
-        "--certificate", "lab-cert.pem", cwd=lab,
+def test_issue_verify_read(lab, certificate, tmp_path):
+    code, _, err = certificate(
+        "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--dcc", "--key", "lab-key.pem",
+        "--certificate", "lab-cert.pem",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in tmp_path.glob("[!.]*")) == [
-        "certificate.html",
-        "certificate.xml",
-        "working-copy.html",
-    ]
-    checked = piga(
-        "certificate",
-        "verify",
-        tmp_path / "certificate.xml",
-        "--certificate",
-        "lab-cert.pem",
-        "--json",
-        cwd=lab,
-    )
-    assert json.loads(checked.stdout)["signature"] == "holds"
-    assert json.loads(checked.stdout)["remarks"] == []
-    assert json.loads(checked.stdout)["signer_in_force"] is True
-    wrong = piga(
-        "certificate", "verify", tmp_path / "certificate.xml", "--certificate", "other-cert.pem", cwd=lab
-    )
-    assert wrong.returncode == 2
-    assert "does not hold" in wrong.stderr
-    read = piga(
-        "certificate", "read", tmp_path / "certificate.xml", "--certificate", "lab-cert.pem", "--out", tmp_path / "back.json",
-        cwd=lab,
-    )  # fmt: skip
-    assert read.returncode == 0, read.stderr
-    assert (tmp_path / "back.json").read_bytes() == (lab / "calibration.json").read_bytes()
-    assert json.loads((tmp_path / "back.json").read_text()) == json.loads(
-        json.dumps(to_document(budgeted(calibration(serial="tumble-a", with_residuals=False))))
-    )
+    assert code == 0, err
+    written = {path.name for path in tmp_path.glob("[!.]*")}
+    assert written == {"certificate.html", "certificate.xml", "working-copy.html"}
+    xml, back = tmp_path / "certificate.xml", tmp_path / "back.json"
+    checked = json.loads(certificate("verify", xml, "--certificate", "lab-cert.pem", "--json")[1])
+    assert checked["signature"] == "holds"
+    assert checked["remarks"] == []
+    assert checked["signer_in_force"] is True
+    code, _, err = certificate("verify", xml, "--certificate", "other-cert.pem")
+    assert code == 2
+    assert "does not hold" in err
+    code, _, err = certificate("read", xml, "--certificate", "lab-cert.pem", "--out", back)
+    assert code == 0, err
+    assert back.read_bytes() == (lab / "calibration.json").read_bytes()
 
 
 def test_entries_of_the_example_are_a_draft(lab, tmp_path, capsys):
@@ -83,60 +70,55 @@ def test_entries_of_the_example_are_a_draft(lab, tmp_path, capsys):
     assert marked == [1, 0]
 
 
-def test_refused_with_the_whole_list(lab, tmp_path):
+def test_refused_with_the_whole_list(certificate, tmp_path):
     text = EXAMPLE.read_text(encoding="utf-8")
     text = text.replace("number =", "# number =").replace('role = "Head', '# role = "Head')
     (tmp_path / "c.toml").write_text(text, encoding="utf-8")
-    done = piga(
-        "certificate", lab / "calibration.json", "--data", tmp_path / "c.toml", "--out", tmp_path / "o", "--dcc"
+    code, _, err = certificate(
+        "calibration.json", "--data", tmp_path / "c.toml", "--out", tmp_path / "o", "--dcc"
     )
-    assert done.returncode == 2
-    assert "2 items of ISO/IEC 17025:2017 missing or wrong" in done.stderr
-    assert "[certificate] number (7.8.2.1 d)" in done.stderr
-    assert "[people.authorised] name and role" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert code == 2
+    assert "2 items of ISO/IEC 17025:2017 missing or wrong" in err
+    assert "[certificate] number (7.8.2.1 d)" in err
+    assert "[people.authorised] name and role" in err
     assert not (tmp_path / "o").exists()
 
 
-def test_a_number_is_used_once(lab, tmp_path):
+def test_a_number_is_used_once(certificate, tmp_path):
     """The same certificate may be written again; a different one needs another number, also beside it."""
     out = tmp_path / "o"
     text = EXAMPLE.read_text(encoding="utf-8")
     (number,) = re.findall(r'^number = "(.*?)"', text, re.MULTILINE)
 
     def issue(text, *options, name="c.toml"):
+        """Exit code and message."""
         data = tmp_path / name
         data.write_text(text, encoding="utf-8")
-        return piga("certificate", lab / "calibration.json", "--data", data, "--out", out, *options)
+        return certificate("calibration.json", "--data", data, "--out", out, *options)[::2]
 
-    first, again = issue(text), issue(text)
-    assert (first.returncode, again.returncode) == (0, 0), first.stderr + again.stderr
+    assert issue(text)[0] == issue(text)[0] == 0
     page = (out / "certificate.html").read_text(encoding="utf-8")
     changed = text.replace("Head of", "Deputy head of")
     assert changed != text
-    refused = issue(changed)
-    assert refused.returncode == 2
-    assert f"a different certificate has the number {number}" in refused.stderr
+    code, message = issue(changed)
+    assert code == 2
+    assert f"a different certificate has the number {number}" in message
     assert (out / "certificate.html").read_text(encoding="utf-8") == page
     assert not (out / "2").exists()
-    renumbered = issue(changed.replace(f'number = "{number}"', f'number = "{number}-b"'), name="d.toml")
-    assert renumbered.returncode == 0, renumbered.stderr
+    code, message = issue(changed.replace(f'number = "{number}"', f'number = "{number}-b"'), name="d.toml")
+    assert code == 0, message
     assert f"{number}-b" in (out / "2" / "certificate.html").read_text(encoding="utf-8")
     assert (out / "certificate.html").read_text(encoding="utf-8") == page
     other = text.replace(f'number = "{number}"', f'number = "{number}-b"')
-    assert f"{out}/2/certificate.html: a different certificate" in issue(other).stderr
-    assert issue(changed, "--force").returncode == 0
+    assert f"{out}/2/certificate.html: a different certificate" in issue(other)[1]
+    assert issue(changed, "--force")[0] == 0
     assert "Deputy head of" in (out / "certificate.html").read_text(encoding="utf-8")
 
 
-def test_options_that_belong_together(lab, tmp_path):
-    alone = piga(
-        "certificate", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--key", "lab-key.pem", cwd=lab
-    )
-    assert alone.returncode == 2
-    assert "belong together" in alone.stderr
-    for command in ("issue", "verify", "read"):
-        assert piga("certificate", command, "--help").returncode == 0
+def test_options_that_belong_together(certificate, tmp_path):
+    code, _, err = certificate("calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--key", "lab-key.pem")
+    assert code == 2
+    assert "belong together" in err
 
 
 @pytest.fixture(scope="module")
@@ -159,21 +141,21 @@ def expired(lab):
 
 
 @pytest.mark.long
-def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, tmp_path):
-    verify = ("certificate", "verify", "expired.xml", "--certificate", "expired-cert.pem")
-    now = piga(*verify, cwd=expired)
-    assert now.returncode == 2
-    first = now.stdout.splitlines()[0]
+def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, certificate, tmp_path):
+    verify = ("expired.xml", "--certificate", "expired-cert.pem")
+    code, out, _ = certificate("verify", *verify)
+    assert code == 2
+    first = out.splitlines()[0]
     assert "the signer's X.509 certificate has expired: valid from" in first
     dates = re.search(
         r"valid from \S+ to (\S+), judged for \S+; on the date of issue that the file states, 2026-03-09, it was not in",
         first,
     )
     day = dt.date.fromisoformat(dates[1]) - dt.timedelta(days=2)
-    then = piga(*verify, "--at", str(day), cwd=expired)
-    assert then.returncode == 0, then.stderr
-    assert f"the signature holds as of {day}" in then.stdout.splitlines()[0]
-    read = piga("certificate", "read", *verify[2:], "--out", tmp_path / "back.json", cwd=expired)
-    assert read.returncode == 2
-    assert "has expired" in read.stderr
+    code, out, err = certificate("verify", *verify, "--at", str(day))
+    assert code == 0, err
+    assert f"the signature holds as of {day}" in out.splitlines()[0]
+    code, _, err = certificate("read", *verify, "--out", tmp_path / "back.json")
+    assert code == 2
+    assert "has expired" in err
     assert not (tmp_path / "back.json").exists()

@@ -61,26 +61,3 @@ def test_convert_gives_the_same_record(tmp_path: Path) -> None:
     assert b"missing-value" in schema.metadata[b"quality"]
     with pytest.raises(PigaError, match=r"must end in \.parquet"):
         run_command("convert", path, "--out", tmp_path / "clean.csv")
-
-
-@pytest.mark.parametrize(
-    ("change", "header", "line"),
-    [
-        (
-            lambda row: row.replace(",0.1,", ",ERR,") if row.startswith("0.5") else row,
-            "t,n,fx,fy,fz",
-            "missing = ['ERR']    # in [data]",
-        ),
-        (lambda row: row, "时间,n,fx,fy,fz", "time = { column = '时间', unit = 's' }    # in [data]"),
-        (lambda row: row, "T ,n,fx,fy,fz", "time = { column = 'T', unit = 's' }    # in [data]"),
-    ],
-)
-def test_suggestions(
-    tmp_path: Path, change, header: str, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_log(tmp_path, [change(row) for row in lines()], header=header)
-    with pytest.raises(PigaError):
-        run_command("check", write_run(tmp_path), "--fix-suggestions")
-    done = invoked("check", tmp_path / "run.toml", "--fix-suggestions")
-    assert line in done.stdout
-    capsys.readouterr()

@@ -83,16 +83,6 @@ def test_a_phase_that_is_lost(tmp_path: Path) -> None:
     assert ("model", "phase = 'per-segment'") in suggested(former), "the name that the file uses"
 
 
-def test_nothing_is_suggested_where_nothing_is_near(tmp_path: Path) -> None:
-    write_log(tmp_path, lines(), header="t,what,fx,fy,fz")
-    path = write_run(tmp_path)
-    done = invoked("check", path, "--fix-suggestions")
-    assert "# no run-file line would change what was found" in done.stdout
-    write_log(tmp_path, lines())
-    done = invoked("check", path, "--fix-suggestions")
-    assert "# no run-file line would change what was found" in done.stdout
-
-
 def clean_table(text: str) -> str:
     return text[text.index("[data]") :]
 
@@ -139,13 +129,6 @@ def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
 
 def test_nothing_is_suggested_that_does_not_help(tmp_path: Path) -> None:
     write_log(tmp_path, ["t,n,fx,fy,what", *lines()], header="Test 12,A")
-    assert suggested(write_run(tmp_path)) == []
-
-
-def test_a_line_that_only_leads_to_an_open_problem_is_not_suggested(tmp_path: Path) -> None:
-    """The row of the names can be found, but the times cannot be read: nothing that was tried lets the log be read."""
-    rows = [f"noon {k},{row.split(',', 1)[1]}" for k, row in enumerate(lines())]
-    write_log(tmp_path, ["t,n,fx,fy,fz", *rows], header="Test 12,A")
     assert suggested(write_run(tmp_path)) == []
 
 

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from typer.main import get_command
 
-import piga as piga_package
 from piga.cli.main import app
-from piga.data import copy_example
 from piga.errors import PigaError
 from piga.progress import FIRST_USE
-from piga.units import G0
 from tests.cli.runner import exit_code, outcome
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
-from tests.records.files import lines, write_log, write_run
+from tests.records.files import write_log, write_run
 
 
 def piga(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -59,35 +53,6 @@ def test_the_main_job(tmp_path: Path) -> None:
     assert residuals.schema.field("after").metadata == {b"unit": b"rad"}
     compensated = pq.read_table(tmp_path / "out" / "compensated.parquet")
     assert compensated.column_names == ["t", "ax", "dv", "u_ax", "flags"]
-
-
-def test_a_refusal_of_calibrate_loads_no_estimator(tmp_path: Path) -> None:
-    """It comes at once; the estimator alone takes longer."""
-    (tmp_path / "out").touch()
-    script = (
-        "import sys; from pathlib import Path; from piga.cli.calibrate import calibrate; from piga.errors import PigaError\n"
-        "try: calibrate([Path(sys.argv[1])], out=Path(sys.argv[2]))\n"
-        "except PigaError as refusal: print(refusal, 'piga.calibration.calibrate' in sys.modules)"
-    )
-    run = copy_example(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-c", script, run, tmp_path / "out"], capture_output=True, text=True, check=True
-    )
-    assert "out: is a file" in done.stdout
-    assert done.stdout.endswith("False\n")
-
-
-def test_check_prints_findings_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = lines()
-    del rows[10:12]
-    write_log(tmp_path, rows)
-    path = write_run(tmp_path)
-    assert exit_code("check", path) == 0
-    assert "gap 1" in " ".join(capsys.readouterr().out.split())
-    assert exit_code("check", path, "--json") == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["quality"]["events"][0]["kind"] == "gap"
-    assert document["phase_kept"] is True
 
 
 def test_calibrate_json_and_files(tmp_path: Path) -> None:
@@ -138,12 +103,6 @@ def test_a_process_ends_with_2_and_without_a_traceback(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("piga: none.toml: cannot be read")
     assert "Traceback" not in done.stderr
-
-
-def test_the_example_is_copied_whole(tmp_path: Path) -> None:
-    run = copy_example(tmp_path)
-    assert run.read_text().startswith("# A dividing-head test")
-    assert (tmp_path / "tumble-a.csv").stat().st_size > 2_000_000
 
 
 @pytest.mark.long
@@ -206,21 +165,3 @@ def test_an_option_that_would_have_no_effect_is_refused(
     (tmp_path / "triad.toml").write_text("[[triad.instrument]]\n", encoding="utf-8")
     with pytest.raises(PigaError, match=words):
         get_command(app).main(["compensate", run, "--out", "o.csv", *option], standalone_mode=False)
-
-
-@pytest.mark.parametrize("method", ["exact", "published"])
-def test_a_live_stream_takes_the_method(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], method: str
-) -> None:
-    t = np.arange(40) * 0.05
-    f = G0 * np.column_stack([1.0 + 0.2 * np.sin(t), 3.0 + 0 * t, 1.0 + 0 * t])
-    calibration = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
-    calibration.to_json(tmp_path / "calibration.json")
-    run = run_of(t, f, phi=0.3)
-    rows = np.column_stack([run.t, run.output, run.f])
-    text = "t,output,fx,fy,fz\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()) + "\n"
-    monkeypatch.setattr(sys, "stdin", io.StringIO(text))
-    words = ["compensate", "-", "--calibration", str(tmp_path / "calibration.json"), "--method", method]
-    get_command(app).main(words, standalone_mode=False)
-    answered = [float(line.split(",")[1]) for line in capsys.readouterr().out.splitlines()[1:]]
-    np.testing.assert_array_equal(answered, piga_package.compensate(run, calibration, method=method).ax)

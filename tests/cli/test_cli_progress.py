@@ -5,14 +5,11 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
-from io import StringIO
 from pathlib import Path
 from types import ModuleType
 
 import numba
 import pytest
-from rich.console import Console
 
 import piga._kernels.jit  # noqa: F401
 from piga.cli.bar import Bar
@@ -70,40 +67,6 @@ def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture
         for more in (1, 2):
             numba.njit(lambda x, more=more: x + more)(1)
     assert capsys.readouterr().err.splitlines() == [f"calibrating; {FIRST_USE}"]
-
-
-def test_a_bar_follows_the_library(capsys: pytest.CaptureFixture[str]) -> None:
-    from piga.cli.bar import Bar
-
-    with Bar("working", 10) as bar:
-        assert bar._bar.tasks[0].total == 10
-        bar.show(5, 20, "segment 5")
-        assert (bar._bar.tasks[0].completed, bar._bar.tasks[0].total) == (5, 20)
-        assert bar._bar.tasks[0].description == "working: segment 5"
-    capsys.readouterr()
-
-
-def test_compiling_is_told_from_loading(monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga._kernels import jit
-
-    monkeypatch.setattr(jit._Compilations, "ended", -1e9)
-    assert not jit.compiling()
-    counter = jit._Compilations()
-    counter.on_start(None)
-    assert jit.compiling()
-    counter.on_end(None)
-    assert jit.compiling()
-    monkeypatch.setattr(jit._Compilations, "ended", time.monotonic() - 2.0 * jit.RECENT)
-    assert not jit.compiling()
-
-
-def test_the_bar_is_one_line_on_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    bar = Bar("calibrating", 10)
-    bar.show(3, 10, "adding up the budget: reference_misalignment X0")
-    console = Console(width=60, file=StringIO())
-    console.print(bar._bar.get_renderable())
-    assert len(console.file.getvalue().rstrip("\n").splitlines()) == 1
 
 
 def test_a_bar_is_drawn_while_the_kernels_are_being_imported(monkeypatch: pytest.MonkeyPatch) -> None:

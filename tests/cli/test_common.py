@@ -70,19 +70,6 @@ def test_an_output_that_takes_nothing(run: Path, shell: str, text: int, json_cod
     assert command(["check", run, "--json"], shell=shell).returncode == json_code
 
 
-def test_the_reader_is_told_once(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    class Full:
-        encoding = "utf-8"
-
-        def write(self, _text: str) -> None:
-            raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(sys, "stdout", Full())
-    common.say("first")
-    common.say("second")
-    assert capsys.readouterr().err.count("what the command did is done") == 1
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="redirections of a POSIX shell")
 @pytest.mark.parametrize(("shell", "closed"), [(">&-", "output"), ("<&-", "input")])
 @pytest.mark.parametrize("arrow", [False, True])

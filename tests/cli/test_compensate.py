@@ -9,7 +9,7 @@ import pyarrow.parquet
 import pytest
 
 from piga.units import G0
-from tests.compensation.run_files import KERNEL, command, small_chunks, write
+from tests.compensation.run_files import command, write
 from tests.compensation.twin_data import TAN_BETA, calibration_of
 
 
@@ -32,11 +32,8 @@ def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
     assert np.abs(table.column(1).to_numpy()[1:] - G0).max() < 1e-9 * G0
 
 
-@pytest.mark.parametrize("streamed", [False, True])
-def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed):
+def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
     run, fine, coarse = write(tmp_path, rows=501), tmp_path / "fine.parquet", tmp_path / "coarse.parquet"
-    if streamed:
-        small_chunks(monkeypatch, 70)
     words = (run, "--calibration", tmp_path / "run.json", "--out")
     assert command(monkeypatch, capsys, *words, fine)[0] == 0
     assert command(monkeypatch, capsys, *words, coarse, "--rate", "10 Hz")[0] == 0
@@ -45,28 +42,6 @@ def test_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys, streamed
     assert table.num_rows == 50
     assert abs(np.sum(table["dv"].to_numpy()) - np.sum(rows["dv"].to_numpy())) < 1e-12
     assert np.abs(table["ax"].to_numpy() - G0).max() < 1e-9 * G0
-
-
-def test_a_stopped_run_leaves_the_old_file_and_a_rerun_completes(tmp_path, monkeypatch, capsys):
-    run, out = write(tmp_path, rows=1000), tmp_path / "out.parquet"
-    small_chunks(monkeypatch, 100)
-    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--force")
-    out.write_bytes(b"older")
-    step, calls = KERNEL.run_kernel, []
-
-    def stop_at_the_fifth(*inputs):
-        calls.append(1)
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        step(*inputs)
-
-    monkeypatch.setattr(KERNEL, "run_kernel", stop_at_the_fifth)
-    assert command(monkeypatch, capsys, *words)[0] != 0
-    assert out.read_bytes() == b"older"
-    assert not list(tmp_path.glob(".out*"))
-    monkeypatch.setattr(KERNEL, "run_kernel", step)
-    assert command(monkeypatch, capsys, *words)[0] == 0
-    assert pa.parquet.read_table(out).num_rows == 1000
 
 
 def test_wrong_serial_and_missing_phase_exit_2_with_remedy(tmp_path, monkeypatch, capsys):

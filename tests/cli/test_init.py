@@ -36,26 +36,6 @@ def test_it_writes_a_run_file_that_check_accepts(log: Path) -> None:
     assert "Record of G-0417 german.toml Rows used: 960, of 960" in " ".join(out.split())
 
 
-def test_settings_replace_guesses(log: Path) -> None:
-    out = log.with_name("mine.toml")
-    code, _, _ = run(
-        "init",
-        log,
-        "-y",
-        "--out",
-        out,
-        "--set",
-        SCALE,
-        "--set",
-        "instrument.serial=X-1",
-        "--set",
-        "model.terms=['scale_factor']",
-    )
-    assert code == 0
-    assert 'serial = "X-1"' in out.read_text(encoding="utf-8")
-    assert 'terms = ["scale_factor"]' in out.read_text(encoding="utf-8")
-
-
 def test_what_is_missing_is_named_with_the_option(log: Path) -> None:
     """The German log has the counts of a revolution, so its scale factor can be computed. That of LabVIEW has not."""
     assert run("init", log, "--yes")[0] == 0
@@ -81,16 +61,6 @@ def test_an_open_line_that_is_answered_makes_the_run_file_whole(log: Path) -> No
     )
     path.write_text(text, encoding="utf-8")
     assert run("check", path)[0] == 0
-
-
-def test_a_log_without_names_gets_a_run_file_with_its_questions(tmp_path: Path) -> None:
-    (tmp_path / "x.csv").write_bytes(b"1;2;3\n4;5;6\n")
-    code, out, _ = run("init", tmp_path / "x.csv", "--yes")
-    assert code == 0
-    assert "data.output: column of the output" in out
-    text = (tmp_path / "x.toml").read_text(encoding="utf-8")
-    assert "header_row = false" in text
-    assert '# output = { column = "n", kind = "counts" }' in text
 
 
 @pytest.mark.parametrize(("setting", "words"), [
@@ -141,11 +111,3 @@ def test_in_a_terminal_it_asks(tmp_path: Path) -> None:
     written = log.with_suffix(".toml").read_text(encoding="utf-8")
     assert 'serial = "Q-5"' in written
     assert 'scale_factor = "0.8884 rad/s/g"' in written
-
-
-def test_the_command_that_answers_keeps_what_was_set(tmp_path: Path) -> None:
-    (tmp_path / "-x.csv").write_bytes(b"1;2;3\n4;5;6\n")
-    _, out, _ = run("init", tmp_path / "-x.csv", "--yes", "--set", "instrument.serial=a b", "--set", SCALE)
-    line = next(line for line in out.splitlines() if line.startswith("  piga init"))
-    assert "--set 'instrument.serial=a b'" in line
-    assert f"--set '{SCALE}'" in line

@@ -136,17 +136,6 @@ def test_wrong_use_is_exit_2_with_one_message(
     assert "Traceback" not in errors
 
 
-def test_missing_extra_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import importlib.util
-
-    from piga.errors import StoreError
-    from piga.ledger.store import open_store
-
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
-    with pytest.raises(StoreError, match="needs the extra 'records'"):
-        open_store(tmp_path / "a.sqlite")
-
-
 @pytest.mark.long
 def test_what_is_superseded_is_checked_before_the_work(
     tmp_path: Path, records: Command, monkeypatch: pytest.MonkeyPatch

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
 
@@ -13,39 +10,12 @@ from piga.studies import reproduction
 from piga.studies.case import Case, Chapter
 from tests.cli.runner import exit_code, invoked
 
-KEYS = {
-    "id",
-    "source",
-    "quantity",
-    "unit",
-    "published",
-    "computed",
-    "difference",
-    "tolerance",
-    "verdict",
-    "note",
-}
-
-
-def piga(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-c",
-        "from piga.cli.main import main; main()",
-        "reproduce",
-        *map(str, arguments),
-    ]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "100"}
-    )
-
 
 def test_json_is_one_document_of_the_interface(capsys):
     assert exit_code("reproduce", "--only", "redundancy-angle", "--json") == 0
     cases = json.loads(capsys.readouterr().out)["cases"]
     assert len(cases) == 7
     for case in cases:
-        assert set(case) == KEYS
         assert case["verdict"] in ("pass", "fail", "info")
         assert case["difference"] == case["computed"] - case["published"]
         assert abs(case["difference"]) <= case["tolerance"]
@@ -58,8 +28,7 @@ def test_unknown_id_names_the_known_ones(capsys):
 
 @pytest.mark.long
 def test_out_writes_page_and_pictures(tmp_path):
-    done = piga("--only", "mounting", "--out", tmp_path / "new")
-    assert done.returncode == 0, done.stderr
+    assert exit_code("reproduce", "--only", "mounting", "--out", tmp_path / "new") == 0
     assert sorted(path.name for path in (tmp_path / "new" / "figures").iterdir()) == [
         "mounting-skew.png",
         "mounting-skew.svg",

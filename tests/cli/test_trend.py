@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ from piga.cli.trend import history as records_of
 from piga.cli.trend import trend
 from piga.errors import PigaError
 from piga.records.calibration.document import calibration_to_bytes
-from tests.cli.test_cli_commands import piga
+from tests.cli.runner import outcome
 from tests.trend.history import history
 
 
@@ -32,38 +30,19 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_directories_and_files(folder, tmp_path):
-    done = piga(
-        "records", "trend", folder, "--at", "2024-01-01", "--common", "0.5", "--out", tmp_path, "--json"
-    )
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+def test_directories_and_files(folder, tmp_path, capsys):
+    def trend_of(*words):
+        code, out, err = outcome(capsys, "records", "trend", *words, "--at", "2024-01-01", "--json")
+        assert code == 0, err
+        return json.loads(out)
+
+    document = trend_of(folder, "--common", "0.5", "--out", tmp_path)
     assert document["serial"] == "G-0417"
     assert len(document["coefficients"][0]["records"]) == 6
     assert json.loads((tmp_path / "trend.json").read_text()) == document
-    files = [folder / f"r{i}" / "calibration.json" for i in range(6)]
-    again = piga("records", "trend", *files, "--at", "2024-01-01", "--common", "x=0.5", "--json")
-    assert (
-        json.loads(again.stdout)["coefficients"][0]["drift_per_year"]
-        == document["coefficients"][0]["drift_per_year"]
-    )
-
-
-def test_a_trend_loads_no_estimator(folder):
-    """An instrument of thousands of records has its trend in seconds; the estimator alone takes a tenth of them."""
-    script = (
-        "import sys; from piga.cli.trend import trend\n"
-        "from pathlib import Path; trend([Path(sys.argv[1])])\n"
-        "loaded = sorted(name for name in sys.modules if name.startswith(('piga.calibration', 'piga.stand', 'piga.trend')))\n"
-        "print(loaded, file=sys.stderr)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(folder)], capture_output=True, text=True, check=True
-    )
-    loaded = done.stderr.splitlines()[-1]
-    assert "piga.trend.trend_line" in loaded
-    for heavy in ("piga.calibration.calibrate", "piga.calibration.model", "piga.calibration.fit", "piga.stand"):
-        assert heavy not in loaded, loaded
+    again = trend_of(*(folder / f"r{i}" / "calibration.json" for i in range(6)), "--common", "x=0.5")
+    drifts = [one["coefficients"][0]["drift_per_year"] for one in (document, again)]
+    assert drifts[0] == drifts[1]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +68,7 @@ def test_wrong_use_in_words(folder, options, words):
 
 
 @pytest.mark.long
-def test_records_of_a_store(tmp_path):
+def test_records_of_a_store(tmp_path, capsys):
     pytest.importorskip("sqlalchemy")
     from piga.ledger.store import Draft, DraftFile, open_store
 
@@ -103,9 +82,9 @@ def test_records_of_a_store(tmp_path):
             store.append(lambda _place, made=made: made)
     entries = list(records_of([], str(path), "G-0417"))
     assert len(entries) == 4
-    done = piga("records", "trend", "--store", path, "--serial", "G-0417", "--json")
-    assert done.returncode == 0, done.stderr
-    (trend_of_k0,) = json.loads(done.stdout)["coefficients"]
+    code, out, err = outcome(capsys, "records", "trend", "--store", path, "--serial", "G-0417", "--json")
+    assert code == 0, err
+    (trend_of_k0,) = json.loads(out)["coefficients"]
     assert trend_of_k0["drift_per_year"]["value"] == pytest.approx(2e-6, rel=1e-6)
     with pytest.raises(PigaError):
         list(records_of([], str(tmp_path / "none.sqlite"), "G-0417"))

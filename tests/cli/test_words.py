@@ -11,15 +11,12 @@ import sys
 import tomllib
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from piga.cli.words import explain
 from piga.data import example_files
-from piga.describe.draft import FILES, key_table, places_of
-from piga.platform.scenario import in_si
+from piga.describe.draft import FILES, places_of
 from piga.records.terms import TERM_WORDS, UNITS, term_words
-from piga.units import to_si
 from tests.cli.runner import invoked
 
 
@@ -31,44 +28,6 @@ def test_every_key_has_a_sentence_and_an_example(file: str) -> None:
         assert place.words.sentence.endswith("."), place.path
         assert place.words.example, place.path
         tomllib.loads(f"x = {place.words.example}")
-
-
-def test_no_words_of_a_key_that_is_gone() -> None:
-    used = {(place.table, place.path.rpartition(".")[2]) for file in FILES for place in places_of(file)}
-    names = {key for _, key in used}
-    for table, keys in key_table().items():
-        for key in keys:
-            known = (table, key) in used if table != "*" else key in names
-            assert known or (table, "ScenarioTable") == ("ScenarioTable", table), (table, key)
-
-
-def test_examples_have_the_type_of_their_key() -> None:
-    """Each example is accepted by the type of its field."""
-    from importlib import import_module
-
-    from piga.describe.draft import words_of
-    from piga.records.text_files import structs_in
-
-    def walk(struct: type[msgspec.Struct], seen: set[type]) -> None:
-        if struct in seen:
-            return
-        seen.add(struct)
-        for field in msgspec.structs.fields(struct):
-            inner = structs_in(field.type)
-            words = words_of(struct.__name__, field.encode_name)
-            assert words.example
-            value = tomllib.loads(f"x = {words.example}")["x"]
-            if not inner or value not in ({}, [{}]):
-                try:
-                    msgspec.convert(in_si(value, field.type, (struct.__name__, field.name)), field.type)
-                except msgspec.ValidationError as error:
-                    raise AssertionError((struct.__name__, field.encode_name, str(error))) from error
-            for part in inner:
-                walk(part, seen)
-
-    seen: set[type] = set()
-    for _, module, name in FILES.values():
-        walk(getattr(import_module(module), name), seen)
 
 
 def test_explain() -> None:
@@ -100,20 +59,6 @@ def test_terms() -> None:
     assert {row["name"] for row in rows} == set(TERM_WORDS)
 
 
-def test_every_example_is_toml_and_in_its_unit() -> None:
-    """A quantity of an example can be read in the unit that stands beside it."""
-    for table, keys in key_table().items():
-        for key, words in keys.items():
-            value = tomllib.loads(f"v = {words.example}")["v"]
-            texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
-            unit = words.unit
-            if unit in ("", "own", "as the value", "1", "row", "rows", "bit", "date", "UTC") or "," in unit:
-                continue
-            for text in texts:
-                if isinstance(text, str) and ":" not in text:
-                    to_si(text, unit, what=f"{table}.{key}")
-
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -133,13 +78,6 @@ def test_what_the_docs_name_is_there() -> None:
     for page in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]:
         for name in re.findall(r"\bexamples/([\w/-]+\.(?:toml|py))", page.read_text(encoding="utf-8")):
             assert name in names, (page.name, name)
-
-
-def test_the_wheel_holds_them() -> None:
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"][
-        "targets"
-    ]
-    assert build["wheel"]["force-include"] == {"examples": "piga/data/examples"}
 
 
 def asked(**environment: str) -> str:

@@ -1,15 +1,11 @@
 """Draw logs of tests by a seed, as programs of four languages write them, and calibrate them as a new user would.
 
-``python -m tests.describe.drawn_logs [SEED ...]`` prints a line for each log: what it is, the error of K in units of half
-the half-width of its 95 % interval (u, where the degrees of freedom are many), and the doubts. The motion comes from a
-Runge-Kutta integration of its own, through moves, ramps and gaps.
+The motion comes from a Runge-Kutta integration of its own, through moves, ramps and gaps.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-import tempfile
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -259,18 +255,3 @@ def outcome(seed: int, folder: Path) -> tuple[DrawnLog, float, str]:
     k: Any = result["scale_factor"]
     doubts = " | ".join(doubt.what[:110] for doubt in result.verdict.doubts if "not stated" not in doubt.what)
     return log, 2.0 * (k.value - K) / k.expanded, f"u {k.std / K * 1e6:.2g} ppm; {doubts}"
-
-
-def main(seeds: list[int]) -> None:
-    """Print a line for each log."""
-    good = 0
-    with tempfile.TemporaryDirectory() as name:
-        for seed in seeds:
-            log, error, said = outcome(seed, Path(name))
-            good += abs(error) < 2.0
-            print(f"{seed:3d} {error:8.2f} u  {log.what}\n      {said}", flush=True)
-    print(f"{good} of {len(seeds)} within 2 u")
-
-
-if __name__ == "__main__":
-    main([int(text) for text in sys.argv[1:]] or list(range(40)))

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from piga.describe import describe_log, draft_run_file
-from piga.describe.columns import fact, kind_of_name, unit_in_name
+from piga.describe.columns import kind_of_name, unit_in_name
 from piga.describe.layout import text_layout
 from piga.reading.columns import open_stream
 from piga.records.run_file import read_run_file
@@ -120,15 +120,6 @@ def test_names_in_four_languages() -> None:
         ("force", 0), ("force", 1), ("force", 2), ("base-rate", 1), ("base-rate", 2), ("base-rate", 0),
     ]  # fmt: skip
     assert unit_in_name("wx_rad_s") == ("wx", "rad/s")
-
-
-def test_facts_of_a_preamble() -> None:
-    assert fact("# Serial number: A7") == ("instrument.serial", "A7")
-    assert fact("Prüfling;A7") == ("instrument.serial", "A7")
-    assert fact("Skalenfaktor [rad/s/g];0,8884") == ("instrument.scale_factor", "0,8884 rad/s/g")
-    assert fact("每转脉冲数：72000") == ("instrument.counts_per_revolution", "72000")
-    assert fact("Operator: A7") is None
-    assert fact("1;2;3") is None
 
 
 @pytest.mark.parametrize("damage", ["\0" * 20, "12:03:04 logger restarted", "1;2"])

@@ -100,19 +100,6 @@ def groups() -> frozenset[tuple[str, ...]]:
     return frozenset(words[:-1] for words in commands() if len(words) > 1)
 
 
-def test_it_can_fail() -> None:
-    assert not resolves("piga.calibration.nothing_of_that_name")
-    assert resolves("piga.Calibration.from_json")
-    assert ("records", "trend") in commands()
-    assert _PAGE.findall("see ``nowhere" + ".md`` eq. 4") == ["nowhere" + ".md"]
-    assert _PATH.findall("run `python builders/build_gallery.py`") == ["builders/build_gallery.py"]
-    assert _COMMAND.findall("`piga calibrate RUN.toml`, `piga records trend --store`") == [
-        "calibrate",
-        "records trend",
-    ]
-    assert _DOTTED.findall("`piga.truth/1` and `piga.calibrate`") == ["piga.calibrate"]
-
-
 def test_the_files_that_ci_names_are_there() -> None:
     script = (Path(__file__).parents[2] / ".ci" / "run").read_text(encoding="utf-8")
     named = re.findall(r"\b(?:tests|builders|benchmarks)/[\w/]+\.py", script)

@@ -78,27 +78,6 @@ def test_a_block_is_run_or_says_why_not() -> None:
     assert not silent, "write <!-- not run: REASON --> above the block"
 
 
-def test_a_marked_block_is_not_run(runner: Runner, tmp_path: Path) -> None:
-    page = tmp_path / "index.md"
-    page.write_text(
-        "<!-- not run: it waits for ever -->\n```sh\nno-such-program\n```\n\n```sh\ntrue\n```\n", "utf-8"
-    )
-    marked, plain = blocks(page)
-    assert (marked.not_run, plain.not_run) == ("it waits for ever", "")
-    runner.run(marked)
-    with pytest.raises(AssertionError, match="no-such-program"):
-        runner.run(Block("sh", marked.text, 2))
-
-
-def test_a_wrong_output_is_noticed(runner: Runner) -> None:
-    runner.run(Block("python", "print('a  1.25 s')\nprint('b')", 1))
-    runner.run(Block("text", "a 1... s\nb", 4))
-    with pytest.raises(AssertionError, match="not printed: b 2"):
-        runner.run(Block("text", "b 2", 4))
-    with pytest.raises(AssertionError, match="no_such"):
-        runner.run(Block("sh", "piga check no_such.toml", 4))
-
-
 @pytest.mark.long
 def test_the_readme_prints_what_its_comment_says(capsys: pytest.CaptureFixture[str]) -> None:
     """The first numbers printed, to the digits of the comment; the truth lies within three standard uncertainties."""

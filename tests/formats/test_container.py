@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import zipfile
 from pathlib import Path
 
 import h5py
@@ -26,7 +25,7 @@ from tests.records.containers import (
     write_tdms,
     write_xlsx,
 )
-from tests.records.files import events, lines, read, write_run
+from tests.records.files import lines, read, write_run
 
 NAMES = ("t", "n", "fx", "fy", "fz")
 
@@ -137,28 +136,6 @@ def test_a_mat_bomb_is_refused(tmp_path: Path) -> None:
     write_mat(path, {name: np.zeros(5 << 20) for name in NAMES})
     with pytest.raises(piga.DataError, match="more than 100 times its size"):
         direct(path)
-
-
-def _edit(path: Path, part: str, change) -> None:
-    with zipfile.ZipFile(path) as source:
-        parts = {info.filename: source.read(info) for info in source.infolist()}
-    parts[part] = change(parts.get(part, b""))
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
-        for name, content in parts.items():
-            out.writestr(name, content)
-
-
-def test_damaged_workbooks(tmp_path: Path) -> None:
-    path = tmp_path / "run.xlsx"
-    sheet = "xl/worksheets/sheet1.xml"
-    for change, message in (
-        (lambda text: text.replace(b"<sheetData>", b"<sheetData>" + b" " * (80 << 20)), "100 times"),
-        (lambda text: text[: len(text) // 2], "not a readable XLSX"),
-    ):
-        write_xlsx(path, columns())
-        _edit(path, sheet, change)
-        with pytest.raises(piga.DataError, match=message):
-            direct(path)
 
 
 def test_sheets_formulas_hidden_rows_and_text(tmp_path: Path) -> None:
@@ -280,12 +257,6 @@ def test_a_missing_extra_is_named(
     (tmp_path / f"run.{suffix}").write_bytes(b"x")
     with pytest.raises(piga.DataError, match=rf"(?s)needs the extra '{extra}'.*pip install 'piga\[{extra}\]'"):
         direct(tmp_path / f"run.{suffix}")
-
-
-def test_a_gap_in_a_container_is_found(tmp_path: Path) -> None:
-    data = {name: np.delete(values, slice(10, 13)) for name, values in columns().items()}
-    write_h5(tmp_path / "run.h5", data)
-    assert events(piga.read_run(write_run(tmp_path, "run.h5"))) == {"gap": 1}
 
 
 def test_text_of_matlab_v73(tmp_path: Path) -> None:

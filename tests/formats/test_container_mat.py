@@ -81,14 +81,6 @@ def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
             read(tmp_path / "a.mat", (name,))
 
 
-def test_labels_and_what_is_no_number(tmp_path: Path) -> None:
-    words = np.array(["up", "down"], object)[np.arange(ROWS) % 2]
-    savemat(tmp_path / "a.mat", {"t": VALUES, "n": VALUES.astype("i2"), "pos": words, "z": 1j * VALUES})
-    assert whole(CONTAINERS[".mat"](tmp_path / "a.mat", ("t", "n"), "pos")).label[1] == ("up", "down")
-    with pytest.raises(DataError, match="column 'z' holds complex128"):
-        read(tmp_path / "a.mat", ("t", "z"))
-
-
 def test_declared_sizes_beyond_the_file(tmp_path: Path) -> None:
     whole = written(tmp_path / "a.mat", "<", False, matrix("<", "x", VALUES.reshape(-1, 1))).read_bytes()
     at = whole.index(struct.pack("<II", 9, 8 * ROWS))

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pytest
 from pyarrow import parquet
 
 import piga
 from piga.formats.parquet import ParquetStream, write_residuals, write_run_parquet
-from piga.results import label_column, number_column, text_column
 from tests.records.calibration.test_verdict import TERMS, rate_log
 
 
@@ -25,42 +20,6 @@ def test_residuals_of_a_rate_log_are_rates_beside_an_angle(tmp_path: Path) -> No
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     assert units == {name: column.unit for name, column in calibration.residuals.table_columns().items()}
     assert (units["psi"], units["before"], units["after"]) == ("rad", "rad/s", "rad/s")
-
-
-@pytest.mark.parametrize("kind", ["float64", "int64", "int32"])
-def test_numbers(kind: str) -> None:
-    values = np.arange(-3, 9).astype(kind)
-    assert number_column(values).equals(pa.array(values))
-    assert number_column(values[::2]).equals(pa.array(values[::2]))
-    assert number_column(values[:0]).equals(pa.array(values[:0]))
-    assert np.isnan(number_column(np.array([np.nan])).to_numpy()).all()
-
-
-def test_empty_cells() -> None:
-    values = np.array([1.0, np.nan, 3.0] * 5)
-    assert number_column(values, empty_cells=True).to_pylist() == [1.0, None, 3.0] * 5
-
-
-@pytest.mark.parametrize("texts", [[], ["a", "", "δ 45°", "a"], ["0"]])
-def test_texts(texts: list[str]) -> None:
-    made = text_column(texts)
-    made.validate(full=True)
-    assert made.equals(pa.array(texts, pa.string()))
-
-
-def test_labels() -> None:
-    made = label_column(np.array([1, 0, 1], np.int32), ["up", "down"])
-    assert made.to_pylist() == ["down", "up", "down"]
-
-
-def test_pandas_is_not_loaded() -> None:
-    """Half a second of every command that writes a table, where pandas is installed."""
-    code = (
-        "import sys, numpy as np; from piga.results import label_column, number_column;"
-        "label_column(np.zeros(2, np.int32), ['a']); number_column(np.zeros(2));"
-        "sys.exit('pandas' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_an_altered_page_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Damaged data files with the outcome each must have: ``python -m tests.reading.damaged_files DIR``.
+"""Damaged data files with the outcome each must have.
 
 The clean log rests along X0: counts ``round(10179 t)`` of a counter with 72000 counts per revolution, 20 Hz,
 reference (1, 0.1, 0) g. Each case damages it in one way of the fault catalogue and says what is to happen:
@@ -11,7 +11,6 @@ import functools
 import gzip
 import io
 import random
-import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -173,6 +172,8 @@ def shape() -> list[Case]:
     return [
         error("empty", b"", "is empty"),
         error("blank", b"\n \n\n", "is empty"),
+        error("comments-only", b"# made by a logger\n# that stopped\n\n", "is empty"),
+        error("half-a-character", b"\xff\xfe\xff", "utf-16|NUL|empty"),
         error("header-only", (HEADER + "\n").encode(), "no data"),
         error("no-header", text(rows()).split(b"\n", 1)[1], "row 1: the first row holds numbers"),
         error("column-twice", text(rows(), "t,n,fx,fx,fz"), "row 1: .*duplicate column name 'fx'", place=True),
@@ -194,7 +195,8 @@ def shape() -> list[Case]:
         repair("blank-lines", whole.replace(b"\n", b"\n\n", 3), {"blank-line": 3}),
         repair("gzip", gzip.compress(whole), {}, file="run.csv.gz"),
         error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
-        error("gzip-bomb", gzip.compress(whole + b"\n" * 40_000_000, 1), "unpacks to more than", file="run.csv.gz"),
+        error("no-gzip", b"no gzip", "cannot be read", file="run.csv.gz"),
+        error("gzip-bomb", gzip.compress(whole + b"0,0,1,0,0\n" * 500_000), "unpacks to more than", file="run.csv.gz"),
         error("sidecar-differs", whole, "SHA-256 is not the one", sidecar="0" * 64 + "  run.csv\n"),
         error("thousands-of-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "c59 and 4940 more"),
         error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),
@@ -204,6 +206,8 @@ def shape() -> list[Case]:
         error("xlsx-damaged", b"PK\x03\x04" + whole, "not a readable XLSX", file="run.xlsx"),
         error("xlsx-bomb", _zip_bomb(), "100 times", file="run.xlsx"),
         error("xls", whole, "save it as .xlsx", file="run.xls"),
+        error("unknown-kind", whole, "files of kind '.doc'", file="run.doc"),
+        error("sheet-of-a-text", whole, r"sheet is for \.xlsx files", data='sheet = "log"'),
     ]  # fmt: skip
 
 
@@ -277,15 +281,3 @@ def noise() -> list[Case]:
 def cases() -> list[Case]:
     """All damaged files."""
     return [*encodings(), *numbers(), *shape(), *signals(), *noise()]
-
-
-def main() -> None:
-    folder = Path(sys.argv[1])
-    for case in cases():
-        case.write(folder / case.name)
-        print(f"{case.name:26} {case.outcome:7} {case.message or case.events or 'as clean'}")
-    print(f"{len(cases())} files")
-
-
-if __name__ == "__main__":
-    main()

@@ -112,9 +112,7 @@ positions = {[f"{angle} deg" for angle in angles]}
 
 
 def test_a_log_with_moves_gives_the_positions_alone(tmp_path):
-    text = head_log(tmp_path).read_text().replace("base_rate = false\n", "")
-    (tmp_path / "run.toml").write_text(text)
-    run = piga.read_run(tmp_path / "run.toml")
+    run = piga.read_run(head_log(tmp_path))
     assert run.labels == tuple(str(k + 1) for k in range(10))
     moving = next(event for event in run.quality.events if event.kind == "moving")
     assert 9 * 300 <= moving.count <= 9 * 300 + 10 * 40
@@ -129,22 +127,17 @@ def test_a_log_with_moves_gives_the_positions_alone(tmp_path):
 @pytest.mark.parametrize("kind", ["counts", "pulses"])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_pulses_and_falling_outputs_are_the_same_record(tmp_path, kind, direction):
-    reference = piga.read_run(_without_rate(head_log(tmp_path)))
+    reference = piga.read_run(head_log(tmp_path))
     (tmp_path / "b").mkdir()
-    run = piga.read_run(_without_rate(head_log(tmp_path / "b", kind=kind, direction=direction)))
+    run = piga.read_run(head_log(tmp_path / "b", kind=kind, direction=direction))
     assert np.allclose(np.diff(run.output), np.diff(reference.output), atol=1e-12)
     assert len(run.labels) == len(reference.labels) == 10
     assert set(run.phase_group) == {0}
 
 
-def _without_rate(path: Path) -> Path:
-    path.write_text(path.read_text().replace("base_rate = false\n", ""))
-    return path
-
-
 @pytest.mark.parametrize(("lost", "kinds"), [(0.0, set()), (1.0, {"counts-lost"}), (0.3, {"counts-lost"})])
 def test_counts_lost_in_a_gap_begin_a_phase_anew(tmp_path, lost, kinds):
-    run = piga.read_run(_without_rate(head_log(tmp_path, gap=500, lost=lost)))
+    run = piga.read_run(head_log(tmp_path, gap=500, lost=lost))
     assert {event.kind for event in run.quality.events} & {"counts-lost"} == kinds
     assert len(set(run.phase_group)) == 1 + len(kinds)
 
@@ -152,7 +145,7 @@ def test_counts_lost_in_a_gap_begin_a_phase_anew(tmp_path, lost, kinds):
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 def test_a_folded_angle_that_lost_its_zero_in_a_gap_begins_anew(tmp_path, lost):
     """Whole turns are not seen; the rest of 0.3 of the 3.4 turns is."""
-    path = _without_rate(head_log(tmp_path, gap=500, lost=lost))
+    path = head_log(tmp_path, gap=500, lost=lost)
     log = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
     log[:, 1] = log[:, 1] / 100.0 % 360.0
     np.savetxt(tmp_path / "log.csv", log, delimiter=",", header="t,n,angle", comments="", fmt="%.6f")
@@ -163,7 +156,7 @@ def test_a_folded_angle_that_lost_its_zero_in_a_gap_begins_anew(tmp_path, lost):
 
 
 def test_a_loss_is_seen_where_the_output_turns_slowly(tmp_path):
-    path = _without_rate(head_log(tmp_path, gap=500, lost=0.5))
+    path = head_log(tmp_path, gap=500, lost=0.5)
     log = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
     gap = int(np.argmax(np.diff(log[:, 0]))) + 1
     begin = 3300
@@ -179,13 +172,13 @@ def test_a_loss_is_seen_where_the_output_turns_slowly(tmp_path):
 
 
 def test_pulses_of_missing_rows_are_lost(tmp_path):
-    run = piga.read_run(_without_rate(head_log(tmp_path, kind="pulses", gap=500)))
+    run = piga.read_run(head_log(tmp_path, kind="pulses", gap=500))
     assert "pulses-lost" in {event.kind for event in run.quality.events}
     assert len(set(run.phase_group)) == 2
 
 
 def test_settle_leaves_out_the_beginning_of_each_position(tmp_path):
-    path = _without_rate(head_log(tmp_path))
+    path = head_log(tmp_path)
     whole = piga.read_run(path)
     path.write_text(path.read_text().replace("[stand]", 'settle = "2 s"\n[stand]'))
     run = piga.read_run(path)
@@ -194,7 +187,7 @@ def test_settle_leaves_out_the_beginning_of_each_position(tmp_path):
 
 
 def test_a_stand_that_never_stands_still_is_refused(tmp_path):
-    path = _without_rate(head_log(tmp_path))
+    path = head_log(tmp_path)
     rows = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
     rows[:, 2] = np.linspace(0.0, 360.0, rows.shape[0])
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="t,n,angle", comments="")

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import random
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pyarrow import parquet
 
 import piga
 from piga.formats.text import source as text_source
-from piga.reading.columns import open_stream
 from piga.records import arrays
-from piga.records.run_file import read_run_file
-from tests.formats.test_formats_fuzz import NAMES
-from tests.reading.damaged_files import cases
 from tests.records.files import lines, write_log, write_run
 
 QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
@@ -47,18 +40,6 @@ def assert_same(first: dict[str, Any] | str, second: dict[str, Any] | str) -> No
             np.testing.assert_array_equal(value, second[name], err_msg=name)
         else:
             assert value == second[name], name
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("case", [c for c in cases() if c.name != "gzip-bomb"], ids=lambda case: case.name)
-def test_damaged_files_in_small_pieces(tmp_path: Path, case: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = case.write(tmp_path)
-    whole = outcome(path)
-    for piece in (37, 200, 1000):
-        monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
-        assert_same(whole, outcome(path))
-    monkeypatch.setattr(arrays, "LARGE_BYTES", 0)
-    assert_same(whole, outcome(path))
 
 
 @settings(QUICK, max_examples=25)
@@ -106,19 +87,3 @@ def edit(rows: list[str], draw: random.Random) -> None:
         lambda: rows.__setitem__(at, rows[at].replace(",A", ',"A').replace(",B", ',"B"')),
     ]
     draw.choice(kinds)()
-
-
-def test_containers_and_parquet_give_the_same_chunks(tmp_path: Path) -> None:
-    rows = lines(50)
-    table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
-    write_log(tmp_path, rows)
-    (tmp_path / "run.csv.gz").write_bytes(gzip.compress((tmp_path / "run.csv").read_bytes()))
-    parquet.write_table(
-        pa.table(dict(zip(NAMES, table.T, strict=True))), tmp_path / "run.parquet", row_group_size=7
-    )
-    for file in ("run.csv", "run.csv.gz", "run.parquet"):
-        path = write_run(tmp_path, file)
-        stream = open_stream(tmp_path, read_run_file(path).data)
-        result = list(stream.chunks())
-        for name, column in zip(NAMES, table.T, strict=True):
-            np.testing.assert_array_equal(np.concatenate([chunk.numbers[name] for chunk in result]), column)

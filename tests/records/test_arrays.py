@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyarrow import csv, parquet
 
 import piga
 from piga.records import arrays
@@ -30,15 +29,9 @@ def is_mapped(values: np.ndarray) -> bool:
     return isinstance(owner, np.memmap)
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
 @pytest.mark.parametrize("fallocate", [True, False])
-def test_the_same_record(run_file: Path, monkeypatch: pytest.MonkeyPatch, kind: str, fallocate: bool) -> None:
+def test_the_same_record(run_file: Path, monkeypatch: pytest.MonkeyPatch, fallocate: bool) -> None:
     """In memory, and with every array above some size in a file, of which nothing is left."""
-    if kind == "parquet":
-        data = run_file.with_name("run.csv")
-        parquet.write_table(csv.read_csv(data), data.with_suffix(".parquet"), compression="zstd")
-        run_file.write_text(run_file.read_text().replace("run.csv", "run.parquet"))
-        data.unlink()
     plain = piga.read_run(run_file)
     if not fallocate:
         monkeypatch.delattr(os, "posix_fallocate")
@@ -50,31 +43,7 @@ def test_the_same_record(run_file: Path, monkeypatch: pytest.MonkeyPatch, kind: 
         for name in ("t", "output", "f", "segment_index", "row", "begins"):
             np.testing.assert_array_equal(getattr(run, name), getattr(plain, name))
         assert run.quality == plain.quality
-    assert sorted(path.name for path in run_file.parent.iterdir()) == [f"run.{kind}", "run.toml"]
-
-
-def test_a_column_of_unknown_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = np.random.default_rng(1).standard_normal(1000)
-    for most in (0, 8000):
-        monkeypatch.setattr(arrays, "LARGE_BYTES", most)
-        column = arrays.ColumnWriter()
-        for start in range(0, 1000, 7):
-            column.append(values[start : start + 7])
-        made = column.finish()
-        assert is_mapped(made) == (most < 8000)
-        np.testing.assert_array_equal(made, values)
-        made[3] = 1.0  # it can be written to
-        assert arrays.taken(made, made == 1.0).tolist() == [1.0]
-        np.testing.assert_array_equal(arrays.scaled(made, 2.0, 3.0), made * 2.0 + 3.0)
-
-
-def test_files_lie_where_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("TMPDIR", raising=False)
-    usual = "/var/tmp"  # noqa: S108 - only its name
-    assert arrays.folder() == (usual if os.access(usual, os.W_OK) else tempfile.gettempdir())
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    assert arrays.folder() == str(tmp_path)
+    assert sorted(path.name for path in run_file.parent.iterdir()) == ["run.csv", "run.toml"]
 
 
 def test_no_room_for_the_columns(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

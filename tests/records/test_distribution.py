@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import pytest
 
 import piga
 from piga.records import read_run_file
-from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from tests.records.files import lines, write_log, write_run
 
 
@@ -75,18 +73,6 @@ def test_more_segments_than_a_record_may_have(tmp_path: Path, monkeypatch: pytes
     assert piga.read_run(write_run(tmp_path)).size == 40
 
 
-def test_sequence_numbers_that_only_go_back(tmp_path: Path) -> None:
-    numbers = [*range(20), *range(15, 35)]
-    write_log(
-        tmp_path, [f"{row},{k}" for row, k in zip(lines(), numbers, strict=True)], header="t,n,fx,fy,fz,k"
-    )
-    run = piga.read_run(write_run(tmp_path, data='sequence = { column = "k" }'))
-    result = {event.kind: (event.count, event.first_row) for event in run.quality.events}
-    assert result["sequence-back"] == (1, 22)
-    assert "sequence-gap" not in result
-    assert run.begins[20]
-
-
 def test_an_extreme_between_missing_values_is_no_saturation(tmp_path: Path) -> None:
     """Nothing beside the plateau tells how far the reading would have gone on."""
     rows = []
@@ -114,10 +100,3 @@ def test_an_output_that_stands_where_nothing_is_felt(tmp_path: Path) -> None:
     ]
     write_log(tmp_path, held)
     assert "stopped-output" in {event.kind for event in piga.read_run(write_run(tmp_path)).quality.events}
-
-
-def test_spreads() -> None:
-    with pytest.raises(piga.RunFileError, match="degrees_of_freedom must be positive"):
-        standard_uncertainty(Spread(standard="1 ppm", degrees_of_freedom=-1.0), "ppm", "scale")
-    assert shape_of("1 ppm") == ("normal", math.inf)
-    assert shape_of(Spread(standard="1 ppm", degrees_of_freedom=7.0)) == ("normal", 7.0)

@@ -203,13 +203,6 @@ def test_arrays_take_what_a_run_file_takes():
     assert any(row.source == "reference_scale" for row in calibration.budget)
 
 
-def test_segments_have_names():
-    names = np.array(["a"] * 300 + ["b"] * 300 + ["a"] * 200)
-    run = a_run(segment=names)
-    assert run.labels == ("a", "b", "a#2")
-    assert run.segment_edges().tolist() == [0, 300, 600, 800]
-
-
 def test_a_stand_gives_the_reference_of_arrays():
     stand = {
         "kind": "dividing-head", "latitude": "40 deg", "gravity": "9.80166 m/s^2",

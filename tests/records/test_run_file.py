@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -148,16 +147,6 @@ def test_run_files_that_contradict_themselves(tmp_path: Path, options: dict[str,
     assert caught.value.remedy
 
 
-def test_words_for_nothing_may_mark_missing_values(tmp_path: Path) -> None:
-    assert read_run_file(write_run(tmp_path, data='missing = ["nan", "void"]')).data.missing == ("nan", "void")
-
-
-def test_an_unknown_key_deep_in_a_list_is_refused_without_a_guess(tmp_path: Path) -> None:
-    path = write_run(tmp_path, data="time_zone = { a = 1 }")
-    with pytest.raises(piga.RunFileError, match="unknown key 'time_zone'"):
-        read_run_file(path)
-
-
 @pytest.mark.parametrize(
     ("key", "changes"),
     [
@@ -184,17 +173,3 @@ def test_a_number_without_its_unit_is_refused_with_file_and_key(tmp_path, key, c
         piga.PigaError, match=rf'run.toml: {key} has no unit\n  remedy: write its unit; piga 0.2 took it as "'
     ):
         piga.read_run(path)
-
-
-def test_an_angle_folds_in_the_unit_of_its_column(tmp_path):
-    """A plain number has the unit of the column."""
-    rows = [f"{i / 20:.2f},{(29.16 * i) % 360.0:.4f},1.0,0.1,0.0" for i in range(40)]
-    write_log(tmp_path, rows)
-    read = {}
-    for fold in ("360", '"360 deg"'):
-        path = write_run(tmp_path)
-        angle = f'output = {{ column = "n", kind = "angle", unit = "deg", wraps_at = {fold} }}'
-        path.write_text(path.read_text().replace('output = { column = "n", kind = "counts" }', angle))
-        read[fold] = piga.read_run(path).output
-    assert np.array_equal(*read.values())
-    assert np.degrees(read["360"][-1]) == pytest.approx(39 * 29.16, abs=1e-3)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-import re
 
 import numpy as np
-import pytest
 
-from piga.reports.render.axes import draw
-from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import page_html, page_text
 from piga.reports.trend import brief as trend_brief
 from piga.reports.trend import page as trend_page
-from piga.reports.trend import scale_of, trend_document, trend_figure
+from piga.reports.trend import trend_document
 from piga.trend.history import find_trend
 from tests.trend.history import START, record
 
@@ -50,38 +46,6 @@ def test_page_holds_every_coefficient_and_alarm():
     assert "Forecast for 2026-01-01" in html
     assert "scale_factor drifts by" in html
     assert html == page_html(trend_page(made, at=AT))
-
-
-def test_axes_have_quantity_and_unit():
-    made = instrument()
-    units = {"scale_factor": "ppm", "tan_beta": "10⁻⁶", "k0": "µg", "k2": "µg/g²", "k1_T": "10⁻⁶/K"}
-    for trend in made.coefficients:
-        scale = scale_of(trend)
-        assert scale.unit == units[trend.key]
-        shown = scale.shown(np.array([point.value for point in trend.points]))
-        assert np.abs(shown).max() < 1e3
-        for panel in trend_figure(made, trend, 6.0).panels:
-            assert panel.x.label == "date"
-            assert panel.x.dates
-            assert panel.y.unit
-
-
-@pytest.mark.parametrize(("days", "step", "form"), [(9, 150, r"20\d\d"), (4, 20, r"[A-Z][a-z]{2}|\d\d")])
-def test_time_is_shown_as_dates(days, step, form):
-    """Ticks are years, months or days; points lie at the days of their records, under the pointer, too."""
-    made = instrument(days=days, step=step)
-    figure = trend_figure(made, made["k0"], None)
-    assert len(figure.panels) == 2
-    spec = figure_spec(figure)
-    records = next(trace for trace in spec["data"] if trace["name"] == "records")
-    first = dt.datetime.fromtimestamp(records["x"][0] / 1e3, dt.UTC)
-    assert abs(first - START) < dt.timedelta(hours=1)
-    assert "%{x|%Y-%m-%d %H:%M} UTC" in records["hovertemplate"]
-    assert {spec["layout"][name]["type"] for name in ("xaxis", "xaxis2")} == {"date"}
-    drawn = draw(figure)
-    drawn.canvas.draw()
-    ticks = [label.get_text() for label in drawn.axes[1].get_xticklabels()]
-    assert sum(bool(re.fullmatch(form, tick)) for tick in ticks) >= 3, ticks
 
 
 def test_text_and_document():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import signal
@@ -118,18 +117,6 @@ def jobs_in(folder: Path) -> list[int]:
     return numbers
 
 
-def test_progress_is_a_small_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from piga.cli import job
-
-    monkeypatch.setattr(job, "BETWEEN", 0.0)
-    note = job.Note(tmp_path / "progress", "reading", None)
-    assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading", "share": None}
-    note.show(50, 100, "")
-    assert json.loads((tmp_path / "progress").read_text())["share"] == 0.5
-    note.show(3, 4, "draws")
-    assert json.loads((tmp_path / "progress").read_text()) == {"what": "reading: draws", "share": 0.75}
-
-
 @pytest.mark.long
 def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
@@ -187,16 +174,3 @@ def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path
     assert not list(parts.glob("*"))
     assert "three steps" in second.client.page("/")
     assert second.end() == (0, "")
-
-
-def test_a_full_disk_does_not_end_a_process_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It calibrates in advance to be fast; the command itself says what is wrong."""
-    from piga.cli import job
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    sent = iter(b'["terms"]\n')
-    monkeypatch.setattr(job.tempfile, "TemporaryDirectory", full)
-    monkeypatch.setattr(job.os, "read", lambda *_: bytes([next(sent)]))
-    assert job._asked() == ["terms"]

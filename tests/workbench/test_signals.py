@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -45,20 +44,6 @@ leave_out = [{ rows = [11, 20], reason = "door" }]
 def write(run: Run, folder: Path, unit: str = "K") -> Outline:
     """The envelopes of a record, with a run file that leaves rows out."""
     return write_envelopes(run, read_run_file(Path("run.toml"), RUN.replace("UNIT", unit).encode()), folder)
-
-
-def test_the_whole_picture_holds_the_extremes(tmp_path: Path) -> None:
-    run = record(200_000, [50_000, 120_001])
-    outline = write(run, tmp_path / "a-1")
-    rows = picture(tmp_path / "a-1", ["output", "fY"], 0.0, outline.duration, 800)
-    assert 800 <= len(rows) < 4 * 800 + 10
-    for first, values, unit in ((1, run.output, 2.0 * np.pi), (3, run.f[:, 1], 9.80665)):
-        assert np.nanmin(rows[:, first]) == pytest.approx(values.min() / unit, rel=1e-15)
-        assert np.nanmax(rows[:, first + 1]) == pytest.approx(values.max() / unit, rel=1e-15)
-    gaps = np.flatnonzero(np.isnan(rows[:, 1]))
-    assert gaps.size == 2
-    starts = rows[gaps + 1, 0]
-    assert starts == pytest.approx(run.t[[50_000, 120_001]] - run.t[0])
 
 
 @settings(max_examples=60, deadline=None)
@@ -149,41 +134,6 @@ def test_the_thinned_copy_of_a_long_record_is_a_record(tmp_path: Path) -> None:
     assert copy.t == pytest.approx(run.t[::5])
     assert copy.f == pytest.approx(run.f[::5])
     assert copy.scale_factor == pytest.approx(run.scale_factor, rel=1e-15)
-
-
-def test_a_clock_that_starts_anew_is_shown_after(tmp_path: Path) -> None:
-    t = np.concatenate((np.arange(1000), np.arange(500))) * 0.01
-    run = Run.from_arrays(
-        np.arange(1500) * 0.01, np.arange(1500.0), np.full((1500, 3), 9.8), scale_factor="0.8884 rad/s/g",
-        segment=np.repeat([0, 1], [1000, 500]).astype(np.int32), units="SI",
-    )  # fmt: skip
-    object.__setattr__(run, "t", t)
-    outline = write(run, tmp_path / "a-1")
-    assert outline.duration == pytest.approx(9.99 + 0.01 + 4.99)
-    assert [(one.first, one.last) for one in outline.positions] == [
-        (0.0, pytest.approx(9.99)),
-        (pytest.approx(10.0), pytest.approx(14.99)),
-    ]
-
-
-def test_a_reading_that_ends_late_leaves_the_cache_of_a_newer_record(tmp_path: Path) -> None:
-    run_file = read_run_file(Path("run.toml"), RUN.replace("UNIT", "K").encode())
-    began = time.time() - 10.0
-    write(record(100, []), tmp_path / "a-new")
-    write_envelopes(record(50, []), run_file, tmp_path / "a-old", began)
-    assert read_outline(tmp_path / "a-new") is not None
-    write(record(100, []), tmp_path / "a-newest")
-    assert [path.name for path in tmp_path.iterdir()] == ["a-newest"]
-
-
-def test_older_caches_of_a_record_go_and_a_broken_one_is_none(tmp_path: Path) -> None:
-    run = record(100, [])
-    write(run, tmp_path / "a-1")
-    write(run, tmp_path / "b-1")
-    write(run, tmp_path / "a-2")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a-2", "b-1"]
-    (tmp_path / "a-2" / "outline.json").unlink()
-    assert read_outline(tmp_path / "a-2") is None
 
 
 @pytest.mark.parametrize(

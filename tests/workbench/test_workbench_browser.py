@@ -98,28 +98,6 @@ def test_a_strangers_log_takes_six_actions(
         shutil.rmtree(kept) if kept.is_dir() else kept.unlink()
 
 
-@narrow
-def test_a_bare_number_and_a_wrong_unit_are_refused_at_their_field(browser: Browser, place: Path) -> None:
-    page = browser.page
-    (place / "bare.csv").write_bytes(logs.german())
-    browser.open("/log/bare.csv")
-    field = page.get_by_label(SCALE, exact=True)
-    for entry, words in (
-        ("0.8884", "unit is missing"),
-        ("0.8884 rad/s", "rad/s"),
-        ("0,8884.1 rad/s/g", "not one number"),
-    ):
-        field.fill(entry)
-        field.press("Tab")
-        page.locator(".refusal", has_text=words).wait_for()
-        assert field.input_value() == entry
-        browser.is_accessible()
-    field.fill("0,8884")
-    page.get_by_label(f"Unit of: {SCALE[0].lower()}{SCALE[1:]}").select_option("rad/s/g")
-    browser.until("!document.querySelector('.refusal')")
-    (place / "bare.csv").unlink()
-
-
 def test_the_first_screen_leads_to_an_answer_and_a_certificate(program: Any, tmp_path: Path) -> None:
     """From an empty folder to a certificate, as somebody who never saw it."""
     server = entered(tmp_path)
@@ -253,28 +231,6 @@ def test_leave_out_by_mouse_and_undo(browser: Browser, place: Path) -> None:
     (place / "marked.toml").unlink()
 
 
-def test_a_press_counts_while_its_part_of_the_page_is_asked_again(browser: Browser) -> None:
-    page = browser.page
-    page.route("**/part", lambda route: route.fulfill(body="<button id=pressed>press</button>"))
-    browser.open("/jobs")
-    page.evaluate(
-        """() => { const part = document.createElement('div');
-           for (const [name, value] of [['get', '/part'], ['trigger', 'every 100ms'], ['swap', 'innerHTML']])
-             part.setAttribute(`hx-${name}`, value);
-           part.addEventListener('click', event => { window.clicked = event.target.id; });
-           document.getElementById('main').prepend(part); htmx.process(part); }"""
-    )
-    page.locator("#pressed").hover()
-    page.mouse.down()
-    page.evaluate("document.getElementById('pressed').dataset.old = 'yes'")
-    page.wait_for_timeout(500)
-    page.mouse.up()
-    assert page.evaluate("window.clicked") == "pressed"
-    browser.until("!document.querySelector('[data-old]')")  # it is renewed afterwards
-    page.goto("about:blank")  # nothing asks for the part any more
-    page.unroute_all(behavior="ignoreErrors")
-
-
 def test_the_second_of_two_tabs_is_told_what_changed(browser: Browser, place: Path) -> None:
     page = browser.page
     shutil.copy(place / "tumble-a.toml", place / "tabs.toml")
@@ -310,33 +266,6 @@ def test_a_lost_server_is_said_and_found_again(program: Any, tmp_path: Path) -> 
     page.locator("#answer .light").wait_for()
     context.close()
     assert again.end() == (0, "")
-
-
-def test_three_hundred_records_open_and_are_searched(program: Any, tmp_path: Path) -> None:
-    run = shipped_record(tmp_path)
-    text = run.read_text(encoding="utf-8")
-    made = calibration(serial="tumble-a", with_residuals=False)
-    made.to_json(tmp_path / "calibration.json")
-    for number in range(300):
-        (tmp_path / f"run-{number:03d}.toml").write_text(text, encoding="utf-8")
-        place = tmp_path / f"run-{number:03d}-calibration"
-        place.mkdir()
-        shutil.copy(tmp_path / "calibration.json", place)
-    (tmp_path / "calibration.json").unlink()
-    server = entered(tmp_path)
-    assert server.client.page("/text").count("<li data-words") == 301
-    context = program.new_context(viewport={"width": 1300, "height": 900})
-    name, _, value = server.client.cookie.partition("=")
-    context.add_cookies([{"name": name, "value": value, "url": server.client.home}])
-    page = context.new_page()
-    page.goto(f"{server.client.home}/text")
-    page.evaluate(
-        """() => { const box = document.getElementById('search');
-           box.value = 'run-123'; box.dispatchEvent(new Event('input')); }"""
-    )
-    assert page.locator("#records li:visible").count() == 1
-    context.close()
-    assert server.end() == (0, "")
 
 
 @narrow

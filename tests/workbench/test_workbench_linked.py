@@ -103,20 +103,3 @@ def test_a_segment_is_selected_everywhere(browser: Browser, report: tuple[str, A
     selected(frame, "residual-time", 0)
     assert frame.locator("tr.selected").count() == 0
     assert frame.locator("#chosen").input_value() == ""
-
-
-def test_what_the_reader_zoomed_stays(browser: Browser, report: tuple[str, Any]) -> None:
-    browser.open(_alone(report[0]))
-    frame = browser.page.main_frame
-    selected(frame, "residual-time", 0)
-    frame.evaluate(
-        "Plotly.relayout(document.querySelector('#residual-time .live'), {'xaxis2.range': [100, 300]})"
-    )
-    frame.locator("#chosen").select_option("3")
-    selected(frame, "residual-time", 2)
-    shown = frame.evaluate("document.querySelector('#residual-time .live')._fullLayout.xaxis2.range")
-    assert shown == pytest.approx([100.0, 300.0])
-
-
-def _alone(path: str) -> str:
-    return f"{path}/file/report.html"

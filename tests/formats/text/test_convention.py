@@ -9,7 +9,6 @@ import pytest
 
 import piga
 from piga.formats.text.convention import is_units_row
-from piga.formats.text.source import find_encoding, looks_western
 from tests.records.files import events, lines, write_run
 
 PREAMBLE = "Test 12;A. B.\nn;t\n1;2\n"
@@ -85,14 +84,6 @@ def test_encodings_by_the_wanted_names(tmp_path: Path, name: str, encoding: str)
     assert run.size == 40
     assert events(run) == {"encoding": 1}
     assert run.quality.events[0].detail == f"read as {encoding}"
-
-
-def test_encodings_without_names() -> None:
-    assert find_encoding("Zähler;Prüfer\n".encode("cp1252"), Path("x"), None) == "cp1252"
-    assert find_encoding("时间,脉冲数\n".encode("gb18030"), Path("x"), None) == "gb18030"
-    assert find_encoding("Größe\n".encode("cp1252"), Path("x"), None) == "gb18030"
-    assert find_encoding("Größe\n".encode("cp1252"), Path("x"), None, ["Größe"]) == "cp1252"
-    assert looks_western("°C; m/s²".encode("cp1252"))
 
 
 def test_a_misread_name_says_how_it_was_read(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.export import SEAL
 from piga.ledger.store.transfer import backup, export_records, import_records, verify
-from piga.output import write_whole
-from tests.ledger.store.drafts import add, content, filled
+from tests.ledger.store.drafts import content, filled
 from tests.ledger.store.test_transfer_altered import tamper
 
 LARGE = 200_000
@@ -63,13 +61,14 @@ def test_identity_and_order_by_the_time_of_the_test(tmp_path: Path) -> None:
     file = DraftFile("calibration", "c.json", (tmp_path / "c.json").read_bytes())
     with open_store(tmp_path / "a.sqlite", create=True) as store:
         for when in ("2026-11-20T09:30:00+01:00", "2025-03-01"):
-            store.append(lambda _place, when=when: Draft(first.serial, "A", "r", (file,), measured=when))  # type: ignore[misc]
+            made = Draft(first.serial, "A", "r", (file,), {}, {"piga": when[:4]}, measured=when)
+            store.append(lambda _place, made=made: made)  # type: ignore[misc]
         assert [record.document.store for record in store.records()] == [store.identity().store] * 2
         names = [record.id for record in store.records()]
         assert [name for name, _, _ in store.history(first.serial)] == names[::-1]
         result = difference(store, 1, 2)
-        assert {change.ratio for change in result.coefficients} <= {0.0, None}
-        assert any(change.ratio == 0.0 for change in result.coefficients)
+        assert all(change.difference == 0.0 for change in result.coefficients)
+        assert result.facts["software piga"] == ("2026", "2025")
 
 
 class Changing(type(Path())):  # type: ignore[misc]
@@ -157,25 +156,6 @@ def test_a_stored_file_made_by_hand_is_not_given_out(
     assert not verify(path).sound
 
 
-def test_a_damaged_head(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 1).close()
-    tamper(path, statement_without_files("UPDATE piga_head SET number = 'one'"))
-    with open_store(path) as store:
-        with pytest.raises(StoreError, match="the head is damaged in the store"):
-            store.head()
-        with pytest.raises(StoreError, match="the head is damaged"):
-            add(store, "next")
-    assert any("the head is damaged" in problem for problem in verify(path).problems)
-
-
-def statement_without_files(text: str) -> Callable[[sqlite3.Connection], None]:
-    def apply(connection: sqlite3.Connection) -> None:
-        connection.execute(text)
-
-    return apply
-
-
 def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
     filled(path, 1).close()
@@ -185,31 +165,12 @@ def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
     assert not verify(path).sound
 
 
-def test_only_the_first_hundred_problems_are_kept(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 1).close()
-    verification = verify(path, [f"{number:064x}" for number in range(130)])
-    assert len(verification.problems) == 100
-    assert len(verification.known) == 130
-
-
-def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
-    target = tmp_path / "a.zip"
-    target.write_bytes(b"old")
-    with pytest.raises(StoreError, match="cannot be written"):
-        write_whole(target, lambda _: (_ for _ in ()).throw(OSError(28, "No space left")), kind=StoreError)
-    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.zip", b"old")]
-
-
-# --- exports made by hand: sums and seal are right, what they hold is not
-
-
 def members_of(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as export:
         return {name: export.read(name) for name in export.namelist()}
 
 
-def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP_DEFLATED) -> None:
+def rewrite(path: Path, members: dict[str, bytes]) -> None:
     """An export with sums and seal that fit its members."""
     named = {name: data for name, data in members.items() if name != "SHA256SUMS"}
     digests = {
@@ -217,7 +178,7 @@ def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP
         for name, data in named.items()
     }
     sums = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
-    with zipfile.ZipFile(path, "w", packing) as export:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as export:
         for name, data in {**named, "SHA256SUMS": members.get("SHA256SUMS-as-is", sums)}.items():
             if name != "SHA256SUMS-as-is":
                 export.writestr(name, data)
@@ -303,17 +264,6 @@ def test_a_chain_forged_from_end_to_end(
 MANIFEST = b'{"schema": "piga.export/1", "software": "piga 0", "records": 0, %b"links": %d, "head": ""}'
 
 
-def test_one_file_of_two_sizes(sound: Path) -> None:
-    def change(number: int, document: dict[str, Any]) -> None:
-        first = {"role": "run", "name": "run.toml", "sha256": "0" * 64, "size": number}
-        document["files"] = [first]
-
-    rewrite(sound, forge(members_of(sound), change))
-    problems = verify(sound).problems
-    assert any("record 2: file 'run.toml' has no valid digest or size" in problem for problem in problems)
-    assert any("file 000000000000: is missing" in problem for problem in problems)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -343,17 +293,6 @@ def test_an_export_made_by_hand(sound: Path, change: dict[str, bytes | None], me
     assert re.search(message, problem), problem
 
 
-def test_the_sums_of_many_records_may_be_longer_than_a_document(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Those of 100 000 records have 30 MB; here the limit of documents is below the sums of twenty."""
-    with filled(tmp_path / "a.sqlite", 20) as store:
-        monkeypatch.setattr("piga.ledger.store.export.MAX_DOCUMENT", 3000)
-        export_records(store, tmp_path / "a.zip")
-    assert len(members_of(tmp_path / "a.zip")["SHA256SUMS"]) > 3000
-    assert not verify(tmp_path / "a.zip").problems
-
-
 def test_what_is_no_export(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 1) as store:
         with pytest.raises(StoreError, match="no such file"):
@@ -364,16 +303,3 @@ def test_what_is_no_export(tmp_path: Path) -> None:
         seal(tmp_path / "b.zip")
         with pytest.raises(StoreError, match="the export is damaged"):
             import_records(store, tmp_path / "b.zip", "A", "merge")
-
-
-def test_a_member_whose_bytes_were_changed(sound: Path) -> None:
-    """Stored as it is, so that one byte can be changed where it lies; sealed again, the sum of the ZIP file is not."""
-    rewrite(sound, members_of(sound), packing=zipfile.ZIP_STORED)
-    raw = sound.read_bytes()
-    at = raw.index(b"This is an export")
-    sound.write_bytes(raw[:at] + b"t" + raw[at + 1 :])
-    seal(sound)
-    (problem,) = verify(sound).problems
-    assert "member 'README.txt': Bad CRC-32" in problem
-    with closing(sqlite3.connect(sound.parent / "a.sqlite")) as untouched:
-        assert untouched.execute("SELECT count(*) FROM piga_entry").fetchone() == (2,)

@@ -81,7 +81,7 @@ def _changed(value: object, chance: random.Random) -> object:
 
 def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection], None]]:
     """A random edit, swap, deletion or addition of rows."""
-    kind = chance.choice(("edit", "swap", "swap rows", "delete", "copy"))
+    kind = chance.choice(("edit", "swap", "delete", "copy"))
     table = chance.choice(TABLES)
 
     def change(connection: sqlite3.Connection) -> None:
@@ -98,17 +98,6 @@ def row_change(chance: random.Random) -> tuple[str, Callable[[sqlite3.Connection
                 connection.execute(
                     f"UPDATE {table} SET {name} = ? WHERE rowid = ?", (other[column + 1], one[0])
                 )
-        elif kind == "swap rows":
-            rest = columns[1:] or columns
-            sets = ", ".join(f"{column} = ?" for column in rest)
-            values = {row[0]: row[1 + len(columns) - len(rest) :] for row in (first, second)}
-            if first[0] != second[0]:
-                connection.execute(f"DELETE FROM {table} WHERE rowid = ?", (second[0],))
-            connection.execute(f"UPDATE {table} SET {sets} WHERE rowid = ?", (*values[second[0]], first[0]))
-            if first[0] != second[0]:
-                marks = ", ".join("?" * len(columns))
-                own = second[1 : 1 + len(columns) - len(rest)]
-                connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*own, *values[first[0]]))
         elif kind == "delete":
             connection.execute(f"DELETE FROM {table} WHERE rowid = ?", (first[0],))
         else:

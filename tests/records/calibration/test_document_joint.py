@@ -20,7 +20,6 @@ from piga.records.calibration import (
     Quality,
     Residuals,
     RunRecord,
-    document,
 )
 from piga.records.calibration.coefficient import coverage_factor
 from tests.reports.example import calibration
@@ -119,17 +118,6 @@ def test_student_factors_of_the_gum_table() -> None:
     assert math.isnan(coverage_factor(math.nan))
 
 
-def test_intervals_and_factors(joint: Calibration) -> None:
-    by_interval, by_student, normal = joint.coefficients[:3]
-    assert by_interval.limits == (0.888497, 0.888505)
-    assert math.isclose(by_interval.expanded, 4e-6, rel_tol=1e-9)
-    assert math.isclose(by_student.coverage_factor, 2.200985160, rel_tol=1e-9)  # Student, 11 degrees, 97.5 %
-    assert math.isclose(normal.coverage_factor, 1.959963985, rel_tol=1e-9)
-    low, high = normal.limits
-    assert math.isclose(high - low, 2.0 * 1.959963985 * 2e-6, rel_tol=1e-6)
-    assert math.isclose(high + low, 2.0 * 1.7e-3, rel_tol=1e-12)
-
-
 def test_residuals_name_their_run(joint: Calibration, tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="holds no residuals"):
         write_residuals(joint, tmp_path / "r.parquet")
@@ -146,12 +134,3 @@ def test_residuals_name_their_run(joint: Calibration, tmp_path: Path) -> None:
     group = pq.read_metadata(tmp_path / "r.parquet").row_group(0)
     columns = [group.column(number) for number in range(group.num_columns)]
     assert {c.path_in_schema for c in columns if c.has_dictionary_page} == {"segment", "run"}
-
-
-def test_a_file_too_large_to_be_one(
-    joint: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    joint.to_json(tmp_path / "c.json")
-    monkeypatch.setattr(document, "MOST_BYTES", 1000)
-    with pytest.raises(CalibrationError, match=r"c\.json: larger than 1000 bytes"):
-        Calibration.from_json(tmp_path / "c.json")

@@ -200,19 +200,6 @@ def test_a_force_in_g_is_named(recwarn):
     assert repr(result).count("9.807 times") <= 3
 
 
-def test_repr_shows_values_with_uncertainty(sound):
-    shown = repr(sound)
-    assert len(shown) < 1500
-    assert re.search(r"scale_factor = 0\.888\d+ \+- \d\.\de-\d+ rad/s/g", shown)
-
-
-def test_repr_hides_digits_beyond_the_uncertainty(sound):
-    small = replace(sound.coefficients[1], value=2.65473561e-17, std=5.3e-18)
-    none = replace(small, value=-1e-20)
-    assert "k0 = 2.65e-17 +- 5.3e-18 g\n" in repr(replace(sound, coefficients=(small,)))
-    assert "k0 = 0 +- 5.3e-18 g\n" in repr(replace(sound, coefficients=(none,)))
-
-
 @pytest.mark.parametrize(
     ("change", "words", "grade"),
     [
@@ -277,11 +264,6 @@ def test_rows_that_were_not_used(used, grade):
     said = [*result.tested, *(doubt.what for doubt in result.doubts)]
     words = f"only {100 * used:.3g} % of the rows were used: the others would move a coefficient by up to "
     assert any(text.startswith(f"{words}{2 * np.sqrt(1 - used):.2g} u") for text in said)
-
-
-def test_uncertainty_of_arrays_is_checked():
-    with pytest.raises(piga.ArgumentError, match="uncertainty"):
-        rate_log(uncertainty={"reference_scales": "1 ppm"})
 
 
 def centrifuge(tilt: float, **uncertainty) -> piga.Run:

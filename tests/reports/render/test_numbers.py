@@ -7,12 +7,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from piga.records.terms import shown_unit
 from piga.reports.render.numbers import (
     ascii_text,
     count,
     fixed,
-    pretty_unit,
     printed,
     relative,
     rounded,
@@ -102,28 +100,7 @@ def test_what_rounds_to_zero_has_no_sign(value, decimals, uncertainty):
     assert signed(tiny, decimals) == fixed(0.0, decimals)
 
 
-def test_signs_are_shown():
-    assert (signed(0.42, 1), signed(-0.46, 1), signed(-0.04, 1)) == ("+0.4", "−0.5", "0.0")
-
-
-def test_units_belong_to_the_coefficient_and_are_printed():
-    assert shown_unit("k2", "g/g^2") == (1e6, "ug/g^2")
-    assert shown_unit("m_Y", "rad") == (1e6, "urad")
-    assert shown_unit("scale_factor", "rad/s/g") == (1.0, "rad/s/g")
-    assert shown_unit("phi[3]", "rad") == (1.0, "rad")
-    assert shown_unit("tan_beta", "1") == (1.0, "1")
-    assert [pretty_unit(u) for u in ("ug/g^2", "1", "urad", "rad/sqrt(s)", "rad/s/g")] == [
-        "µg/g²", "", "µrad", "rad/√s", "rad/s/g",
-    ]  # fmt: skip
-
-
 def test_a_power_of_ten_is_ascii_whatever_its_digits():
     assert ascii_text("(2.0 ± 0.3)\u00a0×\u00a010⁻¹²") == "(2.0 +/- 0.3)e-12"
     assert ascii_text("2.40\u00a0×\u00a010³ µg/g³, 12\u202f000") == "2.40e3 ug/g^3, 12000"
     assert ascii_text("–") == "-"
-
-
-def test_numbers_are_plain_below_a_million():
-    assert ascii_text(rounded(999999.4, 12.0).concise) == "999999(12)"
-    assert ascii_text(rounded(1234567.0, 1.2).concise) == "1.2345670(12)e6"
-    assert rounded(-3.58762e-4, 1.2e-8).interval == "(−3.58762 ± 0.00012)\u00a0×\u00a010⁻⁴"

@@ -16,7 +16,6 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableColumn,
-    TableOf,
     Text,
     Tile,
     json_island,
@@ -145,22 +144,3 @@ def test_figures_say_what_they_show_and_that_they_need_scripts():
     holder = text[text.index('<figure id="curve"') : text.index("</figure>")]
     assert 'aria-label="Title plain angle [rad] against time [s]: plain."' in holder
     assert re.search(r"<noscript>.*Allow scripts", holder)
-
-
-@pytest.mark.parametrize(
-    ("anchors", "message"), [(("a", "a"), "two parts"), (("a b", "c"), "cannot be an anchor")]
-)
-def test_anchors_are_names_and_unique(anchors, message):
-    with pytest.raises(ValueError, match=message):
-        Page("P", sections=tuple(Section(anchor, anchor, ()) for anchor in anchors))
-
-
-def test_a_row_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match="a row of 1 cells for 2 columns"):
-        Table((TableColumn("a"), TableColumn("b")), (("1",),))
-
-
-def test_numbers_of_a_table_have_one_notation():
-    """Powers of ten are printed as such, also within words; text columns stay as they are."""
-    table = TableOf([1.0]).text("a", lambda _: "1e-5").number("b", lambda _: "at most -1.2e-5").table()
-    assert table.rows == (("1e-5", "at most −1.2\u00a0×\u00a010⁻⁵"),)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import shutil
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,7 @@ from piga.workbench.folder import Folder
 from piga.workbench.history import History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.later import _document, _items, _own, _pem_files
+from piga.workbench.pages.later import _items, _own, _pem_files
 from piga.workbench.security import Door
 from tests.certificate.certificate_data import key_pair
 
@@ -42,28 +40,6 @@ def test_a_number_is_used_once(bench: Bench, tmp_path: Path) -> None:
     assert _own(bench, None)["certificate.number"] != first
     (item,) = [one for one in _items(bench, {"certificate.number": first}) if one.key == "certificate.number"]
     assert "was used" in item.refusal
-
-
-def test_a_draft_is_whole_and_own_entries_stand_in_it(bench: Bench) -> None:
-    values = {"laboratory.name": "Lab <b>", "calibration.begin": "2026-05-01"}
-    whole = tomllib.loads(_document(values, whole=True))
-    assert whole["laboratory"]["name"] == "Lab <b>"
-    assert whole["calibration"]["begin"] == dt.date(2026, 5, 1)
-    assert whole["traceability"]["standard"]
-    assert whole["method"]["documents"] == ["LAB-SOP-031, issue 4"]
-    documents = {"method.documents": "LAB-7, issue 4; LAB-8"}
-    assert tomllib.loads(_document(documents, whole=False))["method"]["documents"] == [
-        "LAB-7, issue 4",
-        "LAB-8",
-    ]
-    assert tomllib.loads(_document(values, whole=False)).keys() == {"laboratory", "calibration"}
-    (wrong,) = [one for one in _items(bench, {"calibration.begin": "May 1"}) if one.key == "calibration.begin"]
-    assert "date" in wrong.refusal
-    table = "[[environment]]\nname = 'Air'\nvalue = '20 degC'\nuncertainty = '1 K'\n"
-    for text, refusal in (("x = 1", "not [[environment]] alone"), (f"x = 1\n{table}", "alone"), (table, "")):
-        (item,) = [one for one in _items(bench, {"environment": text}) if one.key == "environment"]
-        assert refusal in item.refusal
-        assert bool(item.refusal) == bool(refusal)
 
 
 def test_keys_and_certificates_are_told_apart(bench: Bench, tmp_path: Path) -> None:
