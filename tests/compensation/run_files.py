@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-import piga
 from piga.cli.main import main
 from piga.compensation import files
 from piga.compensation.result import write_rows
@@ -68,24 +67,10 @@ def small_chunks(monkeypatch, rows: int) -> None:
     monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)
 
 
-def to_file(path, calibration, out, *, period=None, **options):
-    """Read and compensate a run into Parquet: the summary."""
-    record = piga.read_run(path)
-    result = piga.compensate(record, calibration, **options)
-    return files.summary_of(result, [record], write_rows(result, out, period=period), ())
-
-
 def set_to_file(paths, mounted, out) -> None:
     """Read and compensate the runs of a set into Parquet."""
     records = [files.read_member(path, item, False) for path, item in zip(paths, mounted, strict=True)]
     write_rows(files.compensate_set(records, mounted), out, "parquet")
-
-
-def assert_file_holds(path, whole: piga.compensation.Compensated) -> None:
-    """A Parquet file holds these compensated rows, to the bit."""
-    table = pa.parquet.read_table(path)
-    for name in ("t", "ax", "dv", "u_ax", "flags"):
-        assert table.column(name).to_numpy().tobytes() == getattr(whole, name).tobytes(), name
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

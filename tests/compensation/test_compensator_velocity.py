@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import piga
-from piga.compensation import Compensator, Mounted, SetCompensator
+from piga.compensation import Mounted, SetCompensator
 from piga.records import Run
-from piga.reports.compensation import page
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
@@ -125,19 +123,6 @@ def test_correlation_of_coefficients_counts():
     expected = np.sqrt(K**2 + k0**2 - 1.2 * K * k0)
     assert piga.compensate(run, correlated(calibration_of(VALUES, std))).u_velocity == pytest.approx(
         expected, rel=1e-3
-    )
-
-
-@pytest.mark.interpreted
-def test_chunks_and_page_agree():
-    run = gapped()
-    whole = piga.compensate(run, CAL)
-    stream = Compensator(CAL, step=H)
-    for a, b in pairwise([0, 1, 7, 150, 151, ROWS]):
-        stream.push({"t": run.t[a:b], "output": run.output[a:b], "f": run.f[a:b]})
-    assert stream.u_velocity() == whole.u_velocity
-    assert f"standard uncertainty {whole.u_velocity:#.2g} m/s" in page(whole).tiles[0].detail.replace(
-        "\u202f", ""
     )
 
 

@@ -1,4 +1,4 @@
-"""Large files: sets in chunks, every kind of data file."""
+"""Runs and sets by their files: refusals, another rate, an output that folds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 import piga
 from piga.compensation.files import orthogonal_triad
-from tests.compensation.run_files import CAL, command, set_to_file, write
+from tests.compensation.run_files import CAL, REFERENCE, command, run_text, set_to_file, write
 from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import calibration_of
 
@@ -48,3 +48,20 @@ def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
     for axis in ("dvx", "dvy", "dvz"):
         total = np.cumsum(fine[axis].to_numpy())[last]
         assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12
+
+
+@pytest.mark.parametrize(("turn", "kept"), [(2.0 * np.pi, True), (5.0, False)])
+def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(tmp_path, turn, kept):
+    path, data = write(tmp_path, rows=400), tmp_path / "run.parquet"
+    table = pa.parquet.read_table(data).to_pydict()
+    table["t"] = np.array(table["t"]) + np.where(np.arange(400) < 300, 0.0, 7.0)
+    table["psi"] = np.mod(np.array(table["psi"]) + 1.0, turn)
+    pa.parquet.write_table(pa.table(table), data)
+    folded = f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"'
+    path.write_text(run_text(data.name, REFERENCE, output=folded))
+    run, cal = piga.read_run(path), calibration_of(CAL, serial="A")
+    if kept:
+        assert np.count_nonzero(piga.compensate(run, cal).flagged("no_increment")) == 2
+        return
+    with pytest.raises(piga.CalibrationError, match="the zero of the output angle was lost before segment"):
+        piga.compensate(run, cal)

@@ -7,16 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
 from piga.compensation.files import is_triad_file
 from piga.units import G0
 from tests.compensation.run_files import CAL, REFERENCE, run_text
-from tests.compensation.test_files_stand import WORK
 from tests.compensation.twin_data import calibration_of
 from tests.memory import LIMIT, largest_memory
 
+WORK = """
+import sys
+from piga.cli.main import main
+sys.argv = ["piga", "compensate", *sys.argv[1:]]
+try:
+    main()
+except SystemExit as stop:
+    assert not stop.code, stop.code
+"""
 MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
 
 pytestmark = [
@@ -74,3 +83,14 @@ def test_a_page(tmp_path: Path, rows: int) -> None:
 def test_a_set_of_many_instruments(tmp_path: Path, page: bool) -> None:
     more = ("--report", str(tmp_path / "page.html")) if page else ()
     assert memory(written_set(tmp_path, 24, 100_000), *more) < LIMIT
+
+
+def test_a_stand(tmp_path: Path) -> None:
+    """A CSV file of four million rows; the reference is that of a centrifuge."""
+    rows = 4_000_000
+    table = {name: columns(rows)[name] for name in ("t", "psi")} | {"part": np.arange(rows) * 4 // rows}
+    written(tmp_path, 10)
+    pa.csv.write_csv(pa.table(table), tmp_path / "run.csv")
+    stand = 'kind = "centrifuge"\nlatitude = "40 deg"\nlevels = ["1 g", "2 g", "3 g", "1 g"]\ndown = false\ndwell = "999 s"'
+    (tmp_path / "run.toml").write_text(run_text("run.csv", 'segment = "part"', "[stand]", stand))
+    assert memory(tmp_path / "run.toml") < LIMIT

@@ -43,15 +43,6 @@ def test_lines_and_batches_through_a_pipe_are_the_record():
     assert pa.ipc.open_stream(got).read_all().column("u_ax").to_numpy().tobytes() == whole.u_ax.tobytes()
 
 
-def test_a_wrong_line_is_named():
-    with pytest.raises(piga.DataError, match="line 3"):
-        compensate_lines(
-            io.StringIO("t,output,fx,fy,fz\n0,0,1,1,1\n0.1,x,1,1,1\n"),
-            io.StringIO(),
-            piga.Compensator(calibration_of(CAL)),
-        )
-
-
 T = 0.01 * np.arange(60)
 
 
@@ -243,12 +234,6 @@ def test_a_batch_of_too_many_rows_is_refused(monkeypatch: pytest.MonkeyPatch) ->
     stream = piga.Compensator(calibration_of(CAL))
     with pytest.raises(piga.DataError, match=r"a batch of 2000 rows, more than 1999"):
         compensate_arrow(io.BytesIO(packed_stream(2000)), io.BytesIO(), stream)
-
-
-@pytest.mark.long
-def test_a_large_arrow_batch_that_is_not_packed_is_taken() -> None:
-    stream = piga.Compensator(calibration_of(CAL))
-    assert compensate_arrow(io.BytesIO(packed_stream(1_000_000, None)), io.BytesIO(), stream) == 1_000_000
 
 
 def test_arrow_columns_that_hold_no_numbers() -> None:

@@ -20,7 +20,6 @@ from piga.compensation import (
 from piga.compensation.model import FLAGS
 from piga.compensation.result import write_rows
 from piga.formats.columns import nulls_of, numbers_of
-from piga.units import G0
 from tests.compensation.run_files import CAL, command, small_chunks, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
@@ -44,14 +43,6 @@ def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
     assert code == 0, said
     assert f"phase {phase.value:.6g} rad" in said
     assert pa.parquet.read_table(tmp_path / "o.parquet")["ax"].to_numpy().tobytes() == expected.ax.tobytes()
-
-
-def test_columns_without_nulls_in_parquet(tmp_path, monkeypatch, capsys):
-    run = write(tmp_path)
-    words = (run, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet")
-    assert command(monkeypatch, capsys, *words)[0] == 0
-    schema = pa.parquet.read_table(tmp_path / "o.parquet").schema
-    assert not any(field.nullable for field in schema)
 
 
 def test_numbers_of_every_kind_of_column():
@@ -104,20 +95,6 @@ def test_resampling_loses_no_velocity(period):
     total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
     assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
     assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
-
-
-def test_sum_of_resampled_increments_is_the_running_velocity():
-    """Every tenth of 0.125 s rows (times without rounding): both running sums agree to rounding."""
-    t = 0.125 * np.arange(2001)
-    dv = G0 * 0.125 * (1.0 + 0.1 * np.random.default_rng(2).standard_normal(2001))
-    dv[0] = 0.0
-    stream = Resampler(1.25)
-    parts = [stream.push(t[i : i + 333], dv[i : i + 333])[1] for i in range(0, 2001, 333)]
-    running = np.cumsum(dv)[10::10]
-    assert np.abs(np.cumsum(np.concatenate(parts)) / running - 1.0).max() < 1e-15
-    assert stream.waiting[0] == 0.0
-    whole = Resampler(1.25).push(t, dv)[1]
-    assert whole.tobytes() == np.concatenate(parts).tobytes()
 
 
 def test_time_that_jumps_back_is_refused():

@@ -13,7 +13,7 @@ import piga
 from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
 from piga.units import G0
 from tests.compensation.triads import PHASES, SKEWED, made, orthogonal, rotation
-from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 from tests.compensation.twin_triad import run, spectrum
 
 ROWS = 300 if numba.config.DISABLE_JIT else 3000
@@ -63,18 +63,6 @@ def test_full_error_model_of_angles():
     runs, mounted = made(t, f, [rotation(a) for a in SKEWED[:3]], errors=errors)
     compensated = compensate_set(runs, mounted)
     assert np.abs(compensated.f[1:] - f[1:]).max() < 2e-12 * G0 * max(1.0, 0.009 * ROWS)
-
-
-@pytest.mark.interpreted
-def test_set_is_the_same_to_the_bit_whatever_the_chunks():
-    t = np.arange(ROWS) * 0.01
-    f = np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
-    runs, mounted = made(t, f, [rotation(a) for a in SKEWED])
-    psi = np.array([r.output for r in runs])
-    whole = SetCompensator(mounted).push(t, psi)
-    stream = SetCompensator(mounted)
-    parts = [stream.push(t[a:b], psi[:, a:b]) for a, b in ((0, 1), (1, 70), (70, 71), (71, 200), (200, ROWS))]
-    assert_same_bits(parts, whole, ("f", "dv", "u_f", "residual"))
 
 
 def test_fault_of_one_instrument_is_flagged():
@@ -303,16 +291,6 @@ def test_three_sampled_instruments_without_uncertainty_say_the_same(mounting: li
     np.testing.assert_allclose(plain.f, full.f, rtol=0.0, atol=1e-13 * G0)
     np.testing.assert_allclose(plain.dv, full.dv, rtol=0.0, atol=1e-15 * G0)
     assert plain.flags.tolist() == full.flags.tolist()
-
-
-@pytest.mark.interpreted
-def test_axes_that_span_a_plane_only() -> None:
-    """No two along each other, and yet nothing is known across the plane."""
-    cal = calibration_of({"k0": 0.0})
-    turned = [rotation((0.0, 0.0, angle)) for angle in (0.0, 1.0, 2.0)]
-    with pytest.raises(piga.ArgumentError, match="the input axes lie in one plane"):
-        SetCompensator([Mounted(cal, axes) for axes in turned])
-    SetCompensator([Mounted(cal, axes) for axes in (*turned[:2], rotation((0.0, 1.0, 0.0)))])
 
 
 @pytest.mark.long

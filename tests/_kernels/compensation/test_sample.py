@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import piga
-from piga._kernels.compensation import data as at
-from piga.compensation.model import make_model
 from piga.units import G0
 from tests.compensation.twin_data import (
     K_G,
@@ -45,33 +43,3 @@ def test_uneven_intervals_cost_the_higher_differences_only():
     t = np.cumsum(0.01 * (1.0 + 0.2 * rng.random(500)))
     left = np.abs(piga.compensate(run_of(t, smooth(t), phi=0.4), CAL).ax[1:] - mean_force(smooth(t)))[3:]
     assert left.max() < 1e-8 * G0
-
-
-def test_coefficients_have_codes_of_their_own():
-    """The code of the scale factor was that of k_ZZ: its uncertainty went in as another one."""
-    special = {at.SCALE_FACTOR, at.TAN_BETA, at.PHI}
-    assert not special & set(range(len(at.TERMS)))
-    assert max(special) < at.HARMONIC
-
-
-def test_uncertainty_is_that_of_the_covariance():
-    """Five coefficients, correlated: against numerical derivatives of the force itself."""
-    t = np.arange(0.0, 1.0, 0.01)
-    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4, "k0": 1e-3, "k_ZZ": 1e-4, "k0_t": 1e-5}
-    std = {"tan_beta": 1e-6, "phi": 1e-4, "k0": 1e-5, "k_ZZ": 1e-6, "k0_t": 1e-6}
-    run = run_of(t, smooth(t), phi=0.4)
-    uncertainty = piga.compensate(run, calibration_of(values, std)).u_ax[1:]
-    base = piga.compensate(run, calibration_of(values)).ax[1:]
-    total = np.zeros(base.size)
-    for name, u in std.items():
-        total += (piga.compensate(run, calibration_of({**values, name: values[name] + u})).ax[1:] - base) ** 2
-    assert np.abs(uncertainty[1:] / np.sqrt(total[1:]) - 1.0).max() < 2e-3
-    assert 1.0 < uncertainty[0] / np.sqrt(total[0]) < 3.0  # the first interval has its bend as well
-
-
-def test_factor_is_triangular_and_gives_the_covariance():
-    cal = calibration_of({"tan_beta": 1e-3, "phi": 0.1, "k0": 1e-3}, {"tan_beta": 1e-6, "k0": 2e-6})
-    model = make_model(cal).more
-    assert model.codes.size == 2
-    assert np.allclose(np.tril(model.factor, -1), 0.0)
-    assert np.allclose(np.sqrt(np.diag(model.factor.T @ model.factor)), [1e-6, 2e-6 * G0])
