@@ -35,26 +35,6 @@ def test_the_series_of_the_moments_reach_rounding(x: float) -> None:
             assert abs(one / exact - 1) < 4e-16
 
 
-@pytest.mark.parametrize("name", list(PRODUCTS))
-def test_columns_of_several_intervals_are_those_of_each(name: str) -> None:
-    rng = np.random.default_rng(8)
-    h, t, temperature, force = (
-        rng.uniform(0.1, 0.3, 4),
-        rng.normal(size=5),
-        rng.normal(size=5),
-        rng.normal(size=(3, 5)),
-    )
-    out, one = np.empty(4), np.empty(1)
-    product_column(PRODUCTS[name], t, force, temperature, h, out, 2.0 * temperature)
-    for i in range(4):
-        part = slice(i, i + 2)
-        force_of_one = np.ascontiguousarray(force[:, part])
-        product_column(
-            PRODUCTS[name], t[part], force_of_one, temperature[part], h[i : i + 1], one, 2.0 * temperature[part]
-        )
-        assert out[i] == one[0]
-
-
 @pytest.mark.parametrize("turn", [1e-4, 0.1, 0.9, 2.5])
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_product_integration_of_the_coupling(turn: float, order: float) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import stat
 import subprocess
 import sys
@@ -97,26 +96,6 @@ def call(folder: Path, program: str = PROGRAM, **variables: str) -> tuple[str, s
 
 
 @pytest.mark.long
-def test_a_second_installation_compiles_nothing_again(tmp_path: Path) -> None:
-    """The same sources in two places; a callee that changed is compiled."""
-    place = Path(piga.__file__).parent
-    program = """
-import sys
-sys.path.insert(0, sys.argv[1])
-from piga._kernels.arithmetic import two_sum
-two_sum(1.0, 2.0)
-print(sum(two_sum.stats.cache_misses.values()))
-"""
-    copies = [shutil.copytree(place, tmp_path / name / "piga") for name in ("one", "two", "three")]
-    missed = [call(copy.parent, program, NUMBA_CACHE_DIR=str(tmp_path / "cache")) for copy in copies]
-    assert missed[0] == ("1", "")
-    assert ("0", "") in missed[1:]
-    with (copies[1] / "_kernels" / "motion" / "step.py").open("a") as other:
-        other.write("# changed\n")
-    assert call(copies[1].parent, program, NUMBA_CACHE_DIR=str(tmp_path / "cache")) == ("1", "")
-
-
-@pytest.mark.long
 def test_kernels_are_kept_in_a_folder_of_the_user_alone(tmp_path: Path) -> None:
     """The user's own code keeps its place beside the source."""
     (tmp_path / "small.py").write_text(KERNEL)
@@ -185,39 +164,3 @@ def test_a_kept_kernel_is_loaded_without_the_compiler(tmp_path: Path) -> None:
     program = PROGRAM + "print('numba.np.linalg' in sys.modules)\n"
     for loaded in ("True", "False"):
         assert call(tmp_path, program) == (f"42.0\n{loaded}", "")
-
-
-SCRIPT = """
-import numpy as np, piga
-from piga.instrument import *
-inst = Instrument(0.09, 0.005, 0.3)
-t, f = np.arange(5.0), np.ones((5, 3))
-frozen = f.copy(); frozen.flags.writeable = False
-propagate(inst, t, f); propagate(inst, t, frozen); propagate(inst, t, np.asfortranarray(f))
-propagate_rate(inst, t, f)
-propagate(inst, t, f, f, with_rate=True, error_model=ErrorModel(k0=1e-3))
-propagate_increments(inst, t, f[1:])
-propagate_segments(inst, t, f); propagate_fleet([inst, inst], t, f)
-sensitivities(inst, t, f); closed_form(inst, t, 1, 2, 3)
-big = np.arange(40000.0) * 1e-3; propagate(inst, big, np.ones((40000, 3)))
-from numba.core.dispatcher import Dispatcher
-import piga._kernels as room, pkgutil, importlib
-compiled = hits = 0
-for module in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
-    for thing in vars(importlib.import_module(module.name)).values():
-        if isinstance(thing, Dispatcher) and thing.py_func.__module__ == module.name:
-            compiled += sum(thing.stats.cache_misses.values()); hits += sum(thing.stats.cache_hits.values())
-print(compiled, hits)
-"""
-
-
-@pytest.mark.long
-def test_a_warm_cache_compiles_nothing():
-    """In the cache of the other tests, so that little is compiled here. A cold one is tested above."""
-    for _ in range(2):
-        run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
-        compiled, hits = map(int, run.stdout.split())
-        if not compiled:
-            break
-    assert compiled == 0
-    assert hits > 0

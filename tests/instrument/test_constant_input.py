@@ -157,11 +157,3 @@ def test_composition_of_steps(beta, alpha0, a_x, a_Y, a_Z, first, second):
     half, _ = closed_form(inst, first, a_x, a_Y, a_Z)
     parts, _ = closed_form(Instrument(0.09, beta, float(half)), second, a_x, a_Y, a_Z)
     assert abs(parts - whole) < 10 * _condition(inst, (a_x, a_Y, a_Z), first + second)
-
-
-def test_mean_rate_and_period_of_the_published_case():
-    period = 2 * math.pi / (PUBLISHED.scale_factor * G0 * math.sqrt(1 - (5 * PUBLISHED.tan_beta) ** 2))
-    assert period == pytest.approx(7.0745522104349, abs=1e-13)
-    alpha, _ = closed_form(PUBLISHED, [0.0, period], G0, 5 * G0, 0.0)
-    assert alpha[1] - alpha[0] == pytest.approx(2 * math.pi, abs=1e-14)
-    assert math.degrees((alpha[1] - alpha[0]) / period) == pytest.approx(50.8866129320529, abs=1e-12)

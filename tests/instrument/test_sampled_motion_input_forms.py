@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,14 +70,6 @@ def test_increments_are_of_fourth_order(smooth, uneven):
 
 
 @pytest.mark.interpreted
-def test_increments_of_a_long_record_join_at_block_limits(smooth):
-    reference = smooth[1]
-    grid = np.linspace(0.0, 4.0, 1001)
-    alpha = propagate_increments(INST, grid, np.diff(integral(grid), axis=0))
-    assert alpha[::250] == pytest.approx(reference, abs=1e-11)
-
-
-@pytest.mark.interpreted
 @pytest.mark.parametrize("n", [1, 2, 3, 300])
 def test_constant_increments_are_exact(n):
     t = np.cumsum(np.r_[0.0, np.random.default_rng(n).uniform(0.01, 0.3, n)])
@@ -86,14 +77,6 @@ def test_constant_increments_are_exact(n):
     dv, dtheta = np.diff(t)[:, None] * f, np.diff(t)[:, None] * omega
     reference, _ = closed_form(INST, t, *f, base_rate=omega)
     assert propagate_increments(INST, t, dv, dtheta) == pytest.approx(reference, abs=1e-12)
-
-
-@pytest.mark.interpreted
-def test_increments_count_turns_through_large_steps():
-    t = np.arange(4.0) * 1000.0
-    f = np.array([2 * G0, 5 * G0, G0])
-    alpha = propagate_increments(INST, t, np.diff(t)[:, None] * f)
-    assert alpha == pytest.approx(closed_form(INST, t, *f)[0], abs=1e-10)
 
 
 @pytest.mark.interpreted
@@ -153,20 +136,3 @@ def test_segments_agree_with_dop853_across_jumps():
 def test_bad_input_is_named(call, message):
     with pytest.raises(piga.ArgumentError, match=message):
         call()
-
-
-CASE = Instrument("0.8884 rad/s/g", "74 arcsec", 0.3)
-
-
-def test_segments_with_base_rate_are_closed_forms_one_after_the_other() -> None:
-    """All three components of the base rate, each as large as the coupling makes it count."""
-    force = G0 * np.array([[0.6, 2.0, -1.0], [0.3, -4.0, 2.0]])
-    turn = np.array([[0.02, -0.3, 0.5], [-0.01, 0.4, 0.2]])
-    alpha, rate = propagate_segments(CASE, [3.0, 5.0], force, turn)
-    middle, _ = closed_form(CASE, 3.0, *force[0], base_rate=turn[0])
-    last, speed = closed_form(replace(CASE, alpha0=float(middle)), 5.0, *force[1], base_rate=turn[1])
-    assert alpha == pytest.approx([float(middle), float(last)], abs=2e-15)
-    assert rate[1] == pytest.approx(float(speed), abs=1e-15)
-    u_x, u_Y, u_Z = CASE.scale_factor * force[1] - turn[1]
-    literal = u_x + CASE.tan_beta * (u_Y * math.sin(alpha[1]) - u_Z * math.cos(alpha[1]))
-    assert rate[1] == pytest.approx(literal, abs=1e-14)

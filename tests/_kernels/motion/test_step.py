@@ -82,19 +82,6 @@ def angle_after(t, dv, K=0.1, tan_beta=0.2):
     return alpha
 
 
-def test_a_record_of_one_interval_has_no_slope():
-    alpha = angle_after(np.array([1.0, 3.0]), np.array([[0.5, -0.7, 0.9]]), 1.0, 1.0)
-    turns, rest, *_ = advance(0.0, 0.0, 0.0, 1.0, 0.5, -0.7, 0.9)
-    assert alpha[1] == pytest.approx(2.0 * math.pi * turns + rest, abs=1e-15)
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_angles_count_turns_both_ways(direction):
-    t = np.arange(257.0)
-    alpha = angle_after(t, np.tile([4.0 * direction, 0.0, 0.0], (256, 1)))
-    assert alpha == pytest.approx(0.4 * direction * t, abs=1e-12)
-
-
 @pytest.mark.parametrize("m", [3, 5])
 def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
     """Mean rates of quadratic input over uneven intervals give the motion with the true slopes."""
