@@ -17,7 +17,6 @@ from piga.errors import ArgumentError, PigaError
 from piga.output import check_outputs, check_results, results
 from piga.records.text_files import files_named_in
 from tests.cli.runner import outcome
-from tests.compensation.run_files import command as compensate
 from tests.compensation.run_files import write
 
 Capture = pytest.CaptureFixture[str]
@@ -69,33 +68,6 @@ def test_an_output_that_is_an_input_is_refused(
         assert code == 2
         assert f"is the input {source}" in said[name]
     assert source.read_bytes() == before
-
-
-def test_a_page_in_place_of_the_run_file_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    run = write(tmp_path)
-    page = run.rename(tmp_path / "run.html")
-    words = (page, "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet", "--report", page)
-    code, _, said = compensate(monkeypatch, capsys, *words, "--force")
-    assert code == 2
-    assert "is the input" in said
-    assert not (tmp_path / "o.parquet").exists()
-
-
-def test_a_page_beside_a_foreign_one_is_named_where_it_lies(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    run, pages = write(tmp_path), tmp_path / "pages"
-    pages.mkdir()
-    (pages / "p.html").write_text("another")
-    out = tmp_path / "out" / "o.parquet"
-    words = (run, "--calibration", tmp_path / "run.json", "--out", out, "--report", pages / "p.html")
-    code, _, said = compensate(monkeypatch, capsys, *words)
-    assert code == 0
-    assert f"wrote {pages / '2' / 'p.html'}" in said
-    assert (pages / "p.html").read_text() == "another"
-    assert (pages / "2" / "p.html").is_file()
 
 
 def test_files_that_a_run_file_names(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-import piga
 from piga.results import ByValue, same
 
 
@@ -55,11 +54,3 @@ def test_other_kinds_are_not_equal_and_nothing_raises():
     assert held() != "a"
     assert not same(np.arange(3), (0, 1, 2))
     assert same([np.arange(2)], [np.arange(2)])
-
-
-def test_a_calibration_is_itself_after_reading_back(cal, tmp_path):
-    cal.to_json(tmp_path / "c.json")
-    again = piga.Calibration.from_json(tmp_path / "c.json")
-    assert again == cal
-    assert again != replace(cal, serial="T-2")
-    assert again != replace(cal, covariance=2.0 * cal.covariance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -84,21 +83,6 @@ def test_files_that_are_no_logs(tmp_path: Path, content: bytes) -> None:
     code, _, message = run("init", path, "--yes", "--set", SCALE)
     assert code != 0
     assert "x.csv" in message
-
-
-def test_json(log: Path) -> None:
-    _, out, _ = run("init", log, "--json", "--set", SCALE)
-    document = json.loads(out)
-    assert document["document"]["data"]["encoding"] == "cp1252"
-    assert [column["kind"] for column in document["columns"]] == [
-        "time",
-        "segment",
-        "counts",
-        "force",
-        "force",
-        "force",
-        "temperature",
-    ]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

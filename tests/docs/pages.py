@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+
+from typer.main import get_command
+
+from piga.cli.main import app
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -38,6 +43,21 @@ def pages() -> list[Path]:
 def name_of(page: Path) -> str:
     """The page as the tests name it."""
     return page.relative_to(ROOT).as_posix()
+
+
+@cache
+def commands() -> dict[str, bool]:
+    """Every command of the command line, e.g. ``piga records trend``, and whether it is a group of commands."""
+    seen = {}
+
+    def walk(name: str, command: object) -> None:
+        below = getattr(command, "commands", {})
+        seen[name] = bool(below)
+        for word, child in below.items():
+            walk(f"{name} {word}", child)
+
+    walk("piga", get_command(app))
+    return seen
 
 
 def blocks(page: Path) -> list[Block]:

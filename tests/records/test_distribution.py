@@ -40,30 +40,6 @@ def test_a_spread_that_says_too_little_or_too_much(tmp_path: Path, entry: str, m
     assert caught.value.remedy
 
 
-def test_an_uncertainty_of_a_stand_that_is_not_there(tmp_path: Path) -> None:
-    path = write_run(tmp_path, model='[uncertainty]\nlevelling = "2 arcsec"')
-    with pytest.raises(
-        piga.RunFileError, match=r"\[uncertainty\] levelling: belongs to a stand(?s:.*)add \[stand\]"
-    ):
-        read_run_file(path)
-
-
-def test_sets_of_terms_to_compare_are_checked_too(tmp_path: Path) -> None:
-    good = write_run(tmp_path, model='compare = [["scale_factor"], ["scale_factor", "k0", "k2"]]')
-    assert read_run_file(good).model.compare == (("scale_factor",), ("scale_factor", "k0", "k2"))
-    bad = write_run(tmp_path, model='compare = [["scale_factor"], ["scale_factor", "k9"]]')
-    with pytest.raises(piga.RunFileError, match=r"\[model\] compare(?s:.*)'k9'"):
-        read_run_file(bad)
-
-
-def test_an_unknown_key_inside_a_value(tmp_path: Path) -> None:
-    path = write_run(
-        tmp_path, model='[uncertainty]\nreference_scale = { standard = "1 ppm", shape = "normal" }'
-    )
-    with pytest.raises(piga.RunFileError, match="unknown key 'shape'"):
-        read_run_file(path)
-
-
 def test_more_segments_than_a_record_may_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("piga.reading.columns.MAX_SEGMENTS", 12)
     rows = [f"{row},{index // 2}" for index, row in enumerate(lines(40))]

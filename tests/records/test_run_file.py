@@ -135,6 +135,15 @@ def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
             r"\[data.sequence.wraps_at\]: expected a whole number >= 2",
         ),
         ({"data": 'missing = ["-999"]'}, "'-999' is a number"),
+        ({"model": 'compare = [["scale_factor"], ["scale_factor", "k9"]]'}, r"\[model\] compare(?s:.*)'k9'"),
+        (
+            {"model": '[uncertainty]\nlevelling = "2 arcsec"'},
+            r"\[uncertainty\] levelling: belongs to a stand(?s:.*)add \[stand\]",
+        ),
+        (
+            {"model": '[uncertainty]\nreference_scale = { standard = "1 ppm", shape = "normal" }'},
+            "unknown key 'shape'",
+        ),
         (
             {"model": '[estimation]\nangle_rms = "-1 urad"\nangle_random_walk = "0 rad/sqrt(s)"'},
             "angle_rms: '-1 urad' is negative",

@@ -276,6 +276,14 @@ def program(chromium: str) -> Iterator[Any]:
         browser.close()
 
 
+def window(program: Any, server: Server, width: int = 1300, scheme: str = "light") -> Any:
+    """A window of the browser that has the session of a server."""
+    context = program.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    name, _, value = server.client.cookie.partition("=")
+    context.add_cookies([{"name": name, "value": value, "url": server.client.home}])
+    return context
+
+
 WIDE, NARROW = (1300, "light"), (400, "dark")
 narrow = pytest.mark.parametrize("browser", [NARROW], indirect=True, ids=["narrow-dark"])
 both = pytest.mark.parametrize("browser", [WIDE, NARROW], indirect=True, ids=["wide-light", "narrow-dark"])
@@ -284,10 +292,7 @@ both = pytest.mark.parametrize("browser", [WIDE, NARROW], indirect=True, ids=["w
 
 @pytest.fixture
 def browser(request: pytest.FixtureRequest, program: Any, running: Server) -> Iterator[Browser]:
-    width, scheme = getattr(request, "param", WIDE)
-    context = program.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    name, _, value = running.client.cookie.partition("=")
-    context.add_cookies([{"name": name, "value": value, "url": f"http://127.0.0.1:{running.client.port}"}])
+    context = window(program, running, *getattr(request, "param", WIDE))
     opened = Browser(context, running)
     yield opened
     context.close()

@@ -1,10 +1,8 @@
-"""Logs of strangers with a known truth. The motion is integrated here by Runge and Kutta's rule; piga has no part in it."""
+"""A log of a stranger with a known truth. The motion is integrated here by Runge and Kutta's rule; piga has no part in it."""
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -50,58 +48,3 @@ def german() -> bytes:
             alpha = step(alpha, head(position, row + 0.5), h)
             t += h
     return text.encode("cp1252")
-
-
-def chinese_rows() -> Iterator[tuple[object, ...]]:
-    """Eight positions; an output angle in degrees that wraps at 360."""
-    rng, t, alpha, h = np.random.default_rng(5), 0.0, 0.7, 0.1
-    yield (
-        "\u65f6\u95f4",
-        "\u8f93\u51fa\u89d2",
-        "\u4f4d\u7f6e",
-        "X\u8f74\u6bd4\u529b",
-        "Y\u8f74\u6bd4\u529b",
-        "Z\u8f74\u6bd4\u529b",
-    )
-    yield ("s", "deg", "-", "g", "g", "g")
-    for position in range(8):
-        a = math.radians(45.0 * position + (11.0 if position % 2 else 0.0))
-        f = (math.cos(a), 0.8 * math.sin(a), 0.6 * math.sin(a))
-        for _ in range(600):
-            shown = math.degrees(alpha + 2e-5 * float(rng.standard_normal())) % 360.0
-            yield (round(t, 1), round(shown, 5), position + 1, *(round(x, 9) for x in f))
-            alpha = step(alpha, f, h)
-            t += h
-        alpha, t = step(alpha, f, 0.5), t + 0.5
-
-
-def chinese() -> bytes:
-    """The rows as an XLSX file."""
-    from openpyxl import Workbook
-
-    book = Workbook()
-    for row in chinese_rows():
-        book.active.append(row)
-    stream = io.BytesIO()
-    book.save(stream)
-    return stream.getvalue()
-
-
-def centrifuge() -> bytes:
-    """A centrifuge that goes up in ramps, with the specific force logged."""
-    rng, t, alpha, h = np.random.default_rng(7), 0.0, 0.1, 0.05
-    text = "t_s,counts,level,fx_g,fy_g,fz_g\n"
-    levels = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 3.0)
-
-    def force(index: int, row: float) -> Force:
-        before = levels[index - 1] if index else levels[0]
-        part = min(row / 100.0, 1.0)
-        return before + (levels[index] - before) * part, 0.0, 1.0
-
-    for index in range(len(levels)):
-        for row in range(900):
-            f = force(index, row)
-            text += f"{t:.2f},{counted(alpha, rng)},{index},{f[0]:.9f},{f[1]:.9f},{f[2]:.9f}\n"
-            alpha = step(alpha, force(index, row + 0.5), h)
-            t += h
-    return text.encode()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from piga.workbench.folder import Folder, OutsideError, results_of
+from piga.workbench.folder import Folder, OutsideError
 from tests.workbench.conftest import shipped_record
 
 
@@ -68,16 +68,6 @@ def test_the_hidden_folder_of_another_user_is_refused(tmp_path: Path, monkeypatc
     monkeypatch.setattr(os, "getuid", lambda: me + 1)
     with pytest.raises(OutsideError, match="another user"):
         folder.state_room("trials")
-
-
-def test_names_of_a_hundred_chinese_letters_leave_room_for_their_results(tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
-    path = folder.free_name("\u53f0" * 100 + ".csv")
-    path.write_text("t,x\n", encoding="utf-8")
-    other = folder.free_name("\u53f0" * 100 + ".csv")
-    assert other != path
-    assert path.suffix == ".csv"
-    assert len(results_of(path.with_suffix(".toml")).name.encode()) < 200
 
 
 def test_versions_of_a_result_are_in_order(tmp_path: Path) -> None:

@@ -131,29 +131,6 @@ def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pyt
 
 
 @pytest.mark.long
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_a_job_that_is_killed_while_it_writes_leaves_the_older_results_whole(
-    jobs: Jobs, tmp_path: Path
-) -> None:
-    command = ("calibrate", "tumble-a.toml", "--out", "out", "--force")
-    assert ended(jobs, jobs.start(command, "Calibrate", "tumble-a.toml", "out")).state == "done"
-
-    def shown() -> dict[str, bytes]:
-        return {path.name: path.read_bytes() for path in (tmp_path / "out").glob("[!.]*")}
-
-    before = shown()
-    job = jobs.start(command, "Calibrate", "tumble-a.toml", "out")
-    while not list((tmp_path / "out").glob(".piga-stage-*/results/*")):  # a result is being written there
-        assert jobs.status(job).state == "running"
-    os.kill(job.child.pid, signal.SIGKILL)
-    assert ended(jobs, job).state == "failed"
-    assert shown() == before
-    assert ended(jobs, jobs.start(command, "Calibrate", "tumble-a.toml", "out")).state == "done"
-    assert set(shown()) == set(before)
-    assert not list((tmp_path / "out").glob(".piga-stage-*"))
-
-
-@pytest.mark.long
 def test_a_server_that_is_killed_in_an_upload_leaves_no_half_file(tmp_path: Path) -> None:
     import socket
 

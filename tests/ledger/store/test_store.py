@@ -50,18 +50,6 @@ def test_the_chain_by_hand(tmp_path: Path) -> None:
     raw.close()
 
 
-def test_same_file_is_kept_once_and_large_ones_are_packed(tmp_path: Path) -> None:
-    with open_store(tmp_path / "a.sqlite", create=True) as store:
-        for _ in range(2):
-            add(store, "same", size=1 << 20)
-    raw = sqlite3.connect(tmp_path / "a.sqlite")
-    assert raw.execute("SELECT count(*) FROM piga_blob").fetchone() == (3,)
-    codecs = dict(raw.execute("SELECT codec, sum(length(data)) FROM piga_chunk GROUP BY codec"))
-    assert set(codecs) == {"plain", "zlib"}
-    assert codecs["zlib"] < 0.6 * (1 << 20)
-    raw.close()
-
-
 def test_an_amendment_is_a_new_record(tmp_path: Path) -> None:
     with open_store(tmp_path / "a.sqlite", create=True) as store:
         first, other = add(store, "a"), add(store, "b", serial="T-2")
@@ -270,19 +258,6 @@ def test_backup_and_restore_give_the_same_head(tmp_path: Path) -> None:
         restore(tmp_path / "part.zip", tmp_path / "new.sqlite")
     assert not (tmp_path / "new.sqlite").exists()
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
-
-
-def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 2).close()
-    raw = path.read_bytes()
-    at = raw.index(b"A. Meyer")
-    path.write_bytes(raw[:at] + b"B" + raw[at + 1 :])
-    with open_store(path) as store:
-        for name, act in (("b.sqlite", backup), ("b.zip", export_records)):
-            with pytest.raises(StoreError, match="was altered"):
-                act(store, tmp_path / name)
-    assert [one.name for one in tmp_path.iterdir()] == ["a.sqlite"]
 
 
 def test_two_programs_at_once_on_one_file(tmp_path: Path) -> None:

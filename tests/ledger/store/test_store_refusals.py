@@ -156,15 +156,6 @@ def test_a_stored_file_made_by_hand_is_not_given_out(
     assert not verify(path).sound
 
 
-def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 1).close()
-    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE piga_blob", b"CREATE TABLE\xffpiga_blob"))
-    with pytest.raises(StoreError, match=r"the file is damaged(?s:.*)restore a backup"):
-        open_store(path)
-    assert not verify(path).sound
-
-
 def members_of(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as export:
         return {name: export.read(name) for name in export.namelist()}
