@@ -15,10 +15,13 @@ from piga.cli.common import (
     PhasesOption,
     PhaseSourceOption,
     TermsOption,
+    argument,
     deliver,
     files_named_in,
+    flag,
     names_in,
     note,
+    option,
     progress,
 )
 from piga.data import EXAMPLE, copy_example
@@ -30,10 +33,7 @@ if TYPE_CHECKING:
 
 RunFilesArgument = Annotated[
     list[Path],
-    typer.Argument(
-        metavar="RUN.toml",
-        help="Run file. Several files, or summaries of runs (.json), are calibrated together.",
-    ),
+    argument("RUN.toml", "Run file. Several files, or summaries of runs (.json), are calibrated together."),
 ]
 
 
@@ -41,31 +41,26 @@ def calibrate(
     runs: RunFilesArgument,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            metavar="DIR",
-            help="Folder for the results [default: RUN-calibration or joint-calibration].",
-        ),
+        option("--out", "DIR", "Folder for the results [default: RUN-calibration or joint-calibration]."),
     ] = None,
     terms: TermsOption = None,
     method: MethodOption = None,
     phases: PhasesOption = None,
     phase_source: PhaseSourceOption = None,
     per_run: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Terms with a value of their own in each run.")
+        str | None, option("--per-run", "A,B,...", "Terms with a value of their own in each run.")
     ] = None,
     compare: Annotated[
         str | None,
-        typer.Option(
-            metavar="'A,B; A,B,C; ...'",
-            help="Sets of terms to compare. They replace [model] compare of the run file.",
+        option(
+            "--compare",
+            "'A,B; A,B,C; ...'",
+            "Sets of terms to compare. They replace [model] compare of the run file.",
         ),
     ] = None,
     summary: Annotated[
         bool,
-        typer.Option(
-            "--summary", help="Also write a summary of each run. It can be calibrated later without the data."
-        ),
+        flag("--summary", "Also write a summary of each run. It can be calibrated later without the data."),
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     force: ForceOption = False,
@@ -181,9 +176,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")] = Path(
-        "piga-demo"
-    ),
+    out: Annotated[Path, option("--out", "DIR", "Folder for the results.")] = Path("piga-demo"),
     force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""

@@ -6,15 +6,15 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from piga.cli.common import (
     App,
     ForceOption,
     JsonOption,
+    argument,
     deliver,
     files_named_in,
     note,
+    option,
     progress,
     say,
     tell,
@@ -29,9 +29,9 @@ app = App(
     "Run thousands of tests, on one machine or many.",
 )
 
-File = Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.", show_default=False)]
-Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the campaign.")]
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the campaign.", show_default=False)]
+File = Annotated[Path, argument("CAMPAIGN.toml", "Campaign file.", show_default=False)]
+Out = Annotated[Path, option("--out", "DIR", "Folder of the campaign.")]
+Folder = Annotated[Path, argument("DIR", "Folder of the campaign.", show_default=False)]
 _INCOMPLETE = 1
 """Exit code if shards could not be computed, or the run was stopped."""
 
@@ -54,12 +54,10 @@ def run(
     campaign: File,
     out: Out,
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", metavar="N", help="Processes on this machine [default: one per core]."),
+        int | None, option("--workers", "N", "Processes on this machine [default: one per core].")
     ] = None,
     executor: Annotated[
-        str | None,
-        typer.Option("--executor", metavar="dask://HOST:PORT", help="Scheduler of a Dask cluster."),
+        str | None, option("--executor", "dask://HOST:PORT", "Scheduler of a Dask cluster.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -131,11 +129,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
 @app.command()
 def repeat(
     campaign: File,
-    case: Annotated[int, typer.Option("--case", metavar="N", help="Number of the case, from 0.", min=0)],
-    repeat: Annotated[int, typer.Option("--repeat", metavar="N", help="Number of the repeat, from 0.", min=0)],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the files of the record.")
-    ] = None,
+    case: Annotated[int, option("--case", "N", "Number of the case, from 0.", min=0)],
+    repeat: Annotated[int, option("--repeat", "N", "Number of the repeat, from 0.", min=0)],
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the files of the record.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

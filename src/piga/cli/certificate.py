@@ -13,9 +13,12 @@ from piga.cli.common import (
     CommandGroup,
     ForceOption,
     JsonOption,
+    argument,
     deliver,
     files_named_in,
+    flag,
     note,
+    option,
     print_json,
     say,
     write_by_rename,
@@ -49,43 +52,26 @@ app = App(
     cls=_IssueByDefault,
 )
 
-PemOption = Annotated[
-    Path | None, typer.Option("--certificate", metavar="PEM", help="X.509 certificate of the laboratory.")
-]
+PemOption = Annotated[Path | None, option("--certificate", "PEM", "X.509 certificate of the laboratory.")]
 AtOption = Annotated[
     str | None,
-    typer.Option(
-        "--at",
-        metavar="YYYY-MM-DD",
-        help="Day on which the X.509 certificate must be valid, instead of today.",
-    ),
+    option("--at", "YYYY-MM-DD", "Day on which the X.509 certificate must be valid, instead of today."),
 ]
 
 
 @app.command()
 def issue(
-    calibration: Annotated[
-        Path, typer.Argument(metavar="CALIBRATION.json", help="Calibration to certify.", show_default=False)
-    ],
+    calibration: Annotated[Path, argument("CALIBRATION.json", "Calibration to certify.", show_default=False)],
     data: Annotated[
-        Path,
-        typer.Option(
-            "--data", metavar="CERTIFICATE.toml", help="Laboratory, customer, item, method and so on."
-        ),
+        Path, option("--data", "CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the certificate.")],
+    out: Annotated[Path, option("--out", "DIR", "Folder for the certificate.")],
     issued: Annotated[
         str | None,
-        typer.Option(
-            "--issued",
-            metavar="YYYY-MM-DD | today",
-            help="Date of issue [default: that of the file, or today].",
-        ),
+        option("--issued", "YYYY-MM-DD | today", "Date of issue [default: that of the file, or today]."),
     ] = None,
-    dcc: Annotated[bool, typer.Option("--dcc", help="Also write certificate.xml (DCC 3.3.0).")] = False,
-    key: Annotated[
-        Path | None, typer.Option("--key", metavar="PEM", help="Private key that signs the XML.")
-    ] = None,
+    dcc: Annotated[bool, flag("--dcc", "Also write certificate.xml (DCC 3.3.0).")] = False,
+    key: Annotated[Path | None, option("--key", "PEM", "Private key that signs the XML.")] = None,
     certificate: PemOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -201,10 +187,8 @@ def _xml(
 
 @app.command()
 def verify(
-    file: Annotated[Path, typer.Argument(metavar="CERTIFICATE.xml", help="Signed DCC.", show_default=False)],
-    certificate: Annotated[
-        Path, typer.Option("--certificate", metavar="PEM", help="X.509 certificate that must have signed it.")
-    ],
+    file: Annotated[Path, argument("CERTIFICATE.xml", "Signed DCC.", show_default=False)],
+    certificate: Annotated[Path, option("--certificate", "PEM", "X.509 certificate that must have signed it.")],
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -268,10 +252,8 @@ def _day(at: str | None) -> dt.datetime:
 
 @app.command()
 def read(
-    file: Annotated[
-        Path, typer.Argument(metavar="CERTIFICATE.xml", help="DCC made by piga.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="CALIBRATION.json", help="File for the calibration.")],
+    file: Annotated[Path, argument("CERTIFICATE.xml", "DCC made by piga.", show_default=False)],
+    out: Annotated[Path, option("--out", "CALIBRATION.json", "File for the calibration.")],
     certificate: PemOption = None,
     at: AtOption = None,
     force: ForceOption = False,

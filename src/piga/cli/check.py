@@ -11,8 +11,11 @@ from piga.cli.common import (
     ForceOption,
     JsonOption,
     RunFileArgument,
+    argument,
     deliver,
     files_named_in,
+    flag,
+    option,
     progress,
     say,
     tell,
@@ -26,27 +29,18 @@ if TYPE_CHECKING:
 
 
 def check(
-    run: Annotated[
-        Path | None, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")
-    ] = None,
+    run: Annotated[Path | None, argument("RUN.toml", "Run file of the recorded test.")] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write check.html with a picture of the record.")
+        Path | None, option("--out", "DIR", "Write check.html with a picture of the record.")
     ] = None,
     fix_suggestions: Annotated[
-        bool,
-        typer.Option("--fix-suggestions", help="Print lines for the run file that settle the open questions."),
+        bool, flag("--fix-suggestions", "Print lines for the run file that settle the open questions.")
     ] = False,
     terms: Annotated[
-        bool,
-        typer.Option(
-            "--terms", help="Also say which terms the record determines. This takes as long as a fit."
-        ),
+        bool, flag("--terms", "Also say which terms the record determines. This takes as long as a fit.")
     ] = False,
     explain: Annotated[
-        str | None,
-        typer.Option(
-            "--explain", metavar="KEY", help="Say what a key of any TOML file means, e.g. data.time.stamp."
-        ),
+        str | None, option("--explain", "KEY", "Say what a key of any TOML file means, e.g. data.time.stamp.")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -94,7 +88,7 @@ def _explain(key: str, as_json: bool) -> None:
 
 def convert(
     run: RunFileArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="File for the clean record.")],
+    out: Annotated[Path, option("--out", "FILE.parquet", "File for the clean record.")],
     force: ForceOption = False,
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
@@ -129,24 +123,19 @@ def suggested_lines(run: Path) -> list[str]:
 
 
 def noise(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Run file, or a log written by any program.")],
-    column: Annotated[
-        str | None, typer.Option("--column", metavar="NAME", help="Column of the output, for a log.")
-    ] = None,
+    log: Annotated[Path, argument("LOG", "Run file, or a log written by any program.")],
+    column: Annotated[str | None, option("--column", "NAME", "Column of the output, for a log.")] = None,
     kind: Annotated[
         Literal["rate", "angle"],
         typer.Option("--kind", help="rate: a voltage, a rate. angle: what is summed up, as counts, a phase."),
     ] = "rate",
     unit: Annotated[
-        str | None, typer.Option("--unit", metavar="UNIT", help="Unit of the column [default: as in the log].")
+        str | None, option("--unit", "UNIT", "Unit of the column [default: as in the log].")
     ] = None,
     sample_rate: Annotated[
-        str | None,
-        typer.Option("--sample-rate", metavar="RATE", help="If no column holds the time, e.g. '20 Hz'."),
+        str | None, option("--sample-rate", "RATE", "If no column holds the time, e.g. '20 Hz'.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write noise.json and noise.html.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Write noise.json and noise.html.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -305,14 +305,28 @@ DOING = "while "
 """Start of the note on a stop that names what was being done."""
 
 
-RunFileArgument = Annotated[Path, typer.Argument(metavar="RUN.toml", help="Run file of the recorded test.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+def option(name: str, value: str, words: str, **more: Any) -> Any:
+    """An option: its name, what help shows for its value, and what it does; ``more`` as for ``typer.Option``."""
+    return typer.Option(name, metavar=value, help=words, **more)
+
+
+def flag(name: str, words: str) -> Any:
+    """An option without a value: its name, and what it does."""
+    return typer.Option(name, help=words)
+
+
+def argument(value: str, words: str, **more: Any) -> Any:
+    """An argument: what help shows for it, and what it is; ``more`` as for ``typer.Argument``."""
+    return typer.Argument(metavar=value, help=words, **more)
+
+
+RunFileArgument = Annotated[Path, argument("RUN.toml", "Run file of the recorded test.")]
+JsonOption = Annotated[bool, flag("--json", "Print one JSON document and nothing else.")]
 TermsOption = Annotated[
-    str | None, typer.Option("--terms", metavar="A,B,...", help="Terms to estimate, instead of the run file's.")
+    str | None, option("--terms", "A,B,...", "Terms to estimate, instead of the run file's.")
 ]
 MethodOption = Annotated[
-    str | None,
-    typer.Option("--method", metavar="NAME", help="Estimator: information | rate | recursive | revolutions."),
+    str | None, option("--method", "NAME", "Estimator: information | rate | recursive | revolutions.")
 ]
 PhasesOption = Annotated[
     str | None,
@@ -321,10 +335,9 @@ PhasesOption = Annotated[
     ),
 ]
 PhaseSourceOption = Annotated[
-    str | None,
-    typer.Option("--phase-source", metavar="NAME", help="Angle that turns the coupling: output | input."),
+    str | None, option("--phase-source", "NAME", "Angle that turns the coupling: output | input.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace existing results.")]
+ForceOption = Annotated[bool, flag("--force", "Replace existing results.")]
 
 
 _TYPE = re.compile(r" <([^>]+)>| (?:TEXT|PATH|FLOAT|INTEGER RANGE|INTEGER)(?![\w.])")

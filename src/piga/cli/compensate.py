@@ -14,7 +14,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from piga.cli.common import ForceOption, check_pipes, counted, deliver, files_named_in, note, progress
+from piga.cli.common import (
+    ForceOption,
+    argument,
+    check_pipes,
+    counted,
+    deliver,
+    files_named_in,
+    flag,
+    note,
+    option,
+    progress,
+)
 from piga.errors import ArgumentError
 from piga.output import results
 
@@ -27,58 +38,53 @@ if TYPE_CHECKING:
 def compensate(
     run: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="RUN.toml",
-            help="A run file, a triad file, three run files (x, y, z), or - for a live stream.",
+        argument(
+            "RUN.toml",
+            "A run file, a triad file, three run files (x, y, z), or - for a live stream.",
             show_default=False,
         ),
     ],
     calibration: Annotated[
         list[Path] | None,
-        typer.Option(metavar="CALIBRATION.json", help="Calibration record; one per run.", show_default=False),
+        option("--calibration", "CALIBRATION.json", "Calibration record; one per run.", show_default=False),
     ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Result, .parquet or .csv; - for a live stream.")
-    ] = Path("-"),
+    out: Annotated[Path, option("--out", "FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the phase of the calibration needs."),
     ] = None,
     phase: Annotated[
-        str | None, typer.Option(metavar="ANGLE", help="Phase of the output zero, e.g. '0.48 rad'.")
+        str | None, option("--phase", "ANGLE", "Phase of the output zero, e.g. '0.48 rad'.")
     ] = None,
     identify_phase: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Estimate the phase from the first seconds, at rest, e.g. '60 s'."),
+        option("--identify-phase", "TIME", "Estimate the phase from the first seconds, at rest, e.g. '60 s'."),
     ] = None,
     rate: Annotated[
-        str | None, typer.Option(metavar="RATE", help="Output rate, e.g. '10 Hz'. No velocity is lost.")
+        str | None, option("--rate", "RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")
     ] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
-        float | None, typer.Option(metavar="DAYS", help="Flag all rows if the calibration is older than this.")
+        float | None, option("--max-age", "DAYS", "Flag all rows if the calibration is older than this.")
     ] = None,
     other_serial: Annotated[
-        bool, typer.Option("--other-serial", help="Accept a calibration of another serial number.")
+        bool, flag("--other-serial", "Accept a calibration of another serial number.")
     ] = False,
     as_run: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Take a joint calibration as this run sees it.", show_default=False),
+        option("--as-run", "NAME", "Take a joint calibration as this run sees it.", show_default=False),
     ] = None,
     force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
-    arrow: Annotated[
-        bool, typer.Option("--arrow", help="Live stream: Arrow record batches instead of lines.")
-    ] = False,
+    arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
     resume: Annotated[
         bool,
         typer.Option("--resume", hidden=True),
     ] = False,
     report: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Also write a page with figures.", show_default=False),
+        Path | None, option("--report", "FILE.html", "Also write a page with figures.", show_default=False)
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")] = False,
+    json: Annotated[bool, flag("--json", "Print a summary as JSON.")] = False,
 ) -> None:
     """Compensate runs or live data: specific force and velocity.
 

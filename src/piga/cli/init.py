@@ -14,9 +14,11 @@ import typer
 from piga.cli.common import (
     ForceOption,
     JsonOption,
+    argument,
     counted,
     no_folder,
     note,
+    option,
     progress,
     say,
     tell,
@@ -32,24 +34,22 @@ if TYPE_CHECKING:
 
 
 def init(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a test, written by any program.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="RUN.toml", help="The run file [default: LOG.toml].")
-    ] = None,
+    log: Annotated[Path, argument("LOG", "Log of a test, written by any program.")],
+    out: Annotated[Path | None, option("--out", "RUN.toml", "The run file [default: LOG.toml].")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--set",
-            metavar="KEY=VALUE",
-            help="A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
+            "KEY=VALUE",
+            "A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
         ),
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--column",
-            metavar="NAME=KIND",
-            help="What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
+            "NAME=KIND",
+            "What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,

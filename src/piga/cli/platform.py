@@ -12,8 +12,11 @@ from piga.cli.common import (
     App,
     Delivery,
     ForceOption,
+    argument,
     deliver,
     files_named_in,
+    flag,
+    option,
     progress,
 )
 
@@ -38,9 +41,9 @@ def _scenario_of(path: Path) -> Path:
 
 Scenario = Annotated[
     Path,
-    typer.Argument(
-        metavar="SCENARIO.toml",
-        help="Scenario file, or the folder that simulate wrote.",
+    argument(
+        "SCENARIO.toml",
+        "Scenario file, or the folder that simulate wrote.",
         show_default=False,
         callback=_scenario_of,
     ),
@@ -50,7 +53,7 @@ Every = Annotated[
     int,
     typer.Option(metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1),
 ]
-_Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+_Json = Annotated[bool, flag("--json", "Print the result as JSON.")]
 
 
 @app.command()
@@ -170,12 +173,10 @@ def navigate(
 @app.command()
 def compare(
     scenario: Scenario,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for comparison.json and report.html.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for comparison.json and report.html.")] = None,
     force: ForceOption = False,
     json: _Json = False,
-    budget: Annotated[bool, typer.Option("--budget", help="Add the error budget by source.")] = False,
+    budget: Annotated[bool, flag("--budget", "Add the error budget by source.")] = False,
 ) -> None:
     """Compare the compensation models, and each with theory.
 

@@ -17,9 +17,11 @@ from piga.cli.common import (
     PhaseSourceOption,
     RunFileArgument,
     TermsOption,
+    argument,
     counted,
     names_in,
     note,
+    option,
     progress,
     tell,
 )
@@ -175,14 +177,11 @@ app = App(
 )
 
 StoreOption = Annotated[
-    str,
-    typer.Option(
-        "--store", metavar="FILE|URL", envvar="PIGA_STORE", help="SQLite file, or postgresql://... URL."
-    ),
+    str, option("--store", "FILE|URL", "SQLite file, or postgresql://... URL.", envvar="PIGA_STORE")
 ]
-RecordArgument = Annotated[str, typer.Argument(metavar="RECORD", help="Name of a record, or its number.")]
-OperatorOption = Annotated[str, typer.Option("--operator", metavar="NAME", help="Who does this.")]
-ReasonOption = Annotated[str, typer.Option("--reason", metavar="WORDS", help="Why.")]
+RecordArgument = Annotated[str, argument("RECORD", "Name of a record, or its number.")]
+OperatorOption = Annotated[str, option("--operator", "NAME", "Who does this.")]
+ReasonOption = Annotated[str, option("--reason", "WORDS", "Why.")]
 
 
 def opened(where: str, *, create: bool = False) -> Store:
@@ -200,19 +199,13 @@ def add(
     reason: ReasonOption,
     results: Annotated[
         Path | None,
-        typer.Option(
-            "--results", metavar="DIR", help="Keep the results of 'piga calibrate' in this folder, unchanged."
-        ),
+        option("--results", "DIR", "Keep the results of 'piga calibrate' in this folder, unchanged."),
     ] = None,
     measured: Annotated[
-        str | None,
-        typer.Option("--measured", metavar="DATE", help="Date of the test; UTC if it has no zone."),
+        str | None, option("--measured", "DATE", "Date of the test; UTC if it has no zone.")
     ] = None,
     supersedes: Annotated[
-        str | None,
-        typer.Option(
-            "--supersedes", metavar="RECORD", help="Name or number of the record that this one corrects."
-        ),
+        str | None, option("--supersedes", "RECORD", "Name or number of the record that this one corrects.")
     ] = None,
     terms: TermsOption = None,
     method: MethodOption = None,
@@ -283,9 +276,7 @@ def _check_usable(where: str) -> None:
 @app.command("list")
 def list_records(
     store: StoreOption,
-    serial: Annotated[
-        str | None, typer.Option("--serial", metavar="SERIAL", help="One instrument only.")
-    ] = None,
+    serial: Annotated[str | None, option("--serial", "SERIAL", "One instrument only.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the records."""
@@ -310,9 +301,7 @@ def _listed_line(record: Record, old: Container[str]) -> str:
 def show(
     record: RecordArgument,
     store: StoreOption,
-    extract: Annotated[
-        Path | None, typer.Option("--extract", metavar="DIR", help="Folder for the files of the record.")
-    ] = None,
+    extract: Annotated[Path | None, option("--extract", "DIR", "Folder for the files of the record.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show a record.
@@ -363,16 +352,12 @@ def diff(
 
 @app.command()
 def verify(
-    store: Annotated[
-        str | None, typer.Option("--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Store to check.")
-    ] = None,
+    store: Annotated[str | None, option("--store", "FILE|URL", "Store to check.", envvar="PIGA_STORE")] = None,
     archive: Annotated[
-        Path | None,
-        typer.Argument(metavar="EXPORT.zip", help="Export or backup to check instead of the store."),
+        Path | None, argument("EXPORT.zip", "Export or backup to check instead of the store.")
     ] = None,
     head: Annotated[
-        list[str] | None,
-        typer.Option("--head", metavar="SHA256", help="Head noted earlier, e.g. on a report. May be repeated."),
+        list[str] | None, option("--head", "SHA256", "Head noted earlier, e.g. on a report. May be repeated.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -397,10 +382,10 @@ def verify(
 
 @app.command()
 def export(
-    out: Annotated[Path, typer.Argument(metavar="EXPORT.zip", help="File to write; it must not exist.")],
+    out: Annotated[Path, argument("EXPORT.zip", "File to write; it must not exist.")],
     store: StoreOption,
     record: Annotated[
-        list[str] | None, typer.Option("--record", metavar="RECORD", help="Only this record. May be repeated.")
+        list[str] | None, option("--record", "RECORD", "Only this record. May be repeated.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -417,7 +402,7 @@ def export(
 
 @app.command("import")
 def import_export(
-    archive: Annotated[Path, typer.Argument(metavar="EXPORT.zip", help="Export to take records from.")],
+    archive: Annotated[Path, argument("EXPORT.zip", "Export to take records from.")],
     store: StoreOption,
     operator: OperatorOption,
     reason: ReasonOption,
@@ -440,9 +425,7 @@ def import_export(
 @app.command()
 def reproduce(
     store: StoreOption,
-    record: Annotated[
-        list[str] | None, typer.Argument(metavar="RECORD", help="Records to recompute [default: all].")
-    ] = None,
+    record: Annotated[list[str] | None, argument("RECORD", "Records to recompute [default: all].")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Recompute records from their stored inputs.
@@ -472,7 +455,7 @@ def reproduce(
 
 @app.command()
 def backup(
-    out: Annotated[Path, typer.Argument(metavar="BACKUP", help="File to write; it must not exist.")],
+    out: Annotated[Path, argument("BACKUP", "File to write; it must not exist.")],
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
@@ -489,7 +472,7 @@ def backup(
 
 @app.command()
 def restore(
-    source: Annotated[Path, typer.Argument(metavar="BACKUP", help="Backup, or complete export.")],
+    source: Annotated[Path, argument("BACKUP", "Backup, or complete export.")],
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:

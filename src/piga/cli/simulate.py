@@ -10,9 +10,12 @@ import typer
 from piga.cli.common import (
     ForceOption,
     JsonOption,
+    argument,
     deliver,
     files_named_in,
+    flag,
     note,
+    option,
     progress,
     write_text,
 )
@@ -26,11 +29,8 @@ _PLAN_RESULTS = ("scenario.toml", "program.csv", "plan.json", "report.html")
 
 
 def plan(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="Plan file.", show_default=False)],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for the results [default: PLAN-plan]."),
-    ] = None,
+    plan_file: Annotated[Path, argument("PLAN.toml", "Plan file.", show_default=False)],
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results [default: PLAN-plan].")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -62,22 +62,18 @@ RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
 
 
 def simulate(
-    scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="Scenario file.", show_default=False)
-    ],
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for run.toml, the data, truth.json and the page.")
-    ],
+    scenario: Annotated[Path, argument("SCENARIO.toml", "Scenario file.", show_default=False)],
+    out: Annotated[Path, option("--out", "DIR", "Folder for run.toml, the data, truth.json and the page.")],
     model: Annotated[
         Literal["quasi-steady", "twin"] | None,
         typer.Option(help="Instrument model, instead of the scenario's."),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Seed of the noise, instead of the scenario's.", min=0)
+        int | None, option("--seed", "N", "Seed of the noise, instead of the scenario's.", min=0)
     ] = None,
-    unstable: Annotated[bool, typer.Option("--unstable", help="Also accept an unstable servo loop.")] = False,
+    unstable: Annotated[bool, flag("--unstable", "Also accept an unstable servo loop.")] = False,
     force: ForceOption = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the truth as JSON.")] = False,
+    json: Annotated[bool, flag("--json", "Print the truth as JSON.")] = False,
 ) -> None:
     """Simulate a test: a run to calibrate, and its truth."""
     from piga.reports.render.page import write_page
@@ -99,14 +95,10 @@ def simulate(
 
 
 def reproduce(
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for reproduction.html and the figures.")
-    ] = None,
-    only: Annotated[
-        str | None, typer.Option("--only", metavar="ID", help="Run one chapter, e.g. ten-days.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Folder for reproduction.html and the figures.")] = None,
+    only: Annotated[str | None, option("--only", "ID", "Run one chapter, e.g. ten-days.")] = None,
     force: ForceOption = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the cases as JSON.")] = False,
+    json: Annotated[bool, flag("--json", "Print the cases as JSON.")] = False,
 ) -> None:
     """Compute every published case and compare.
 

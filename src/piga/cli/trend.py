@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from piga.cli.common import ForceOption, JsonOption, deliver, progress
+from piga.cli.common import ForceOption, JsonOption, argument, deliver, option, progress
 from piga.errors import PigaError
 from piga.output import is_hidden
 
@@ -24,36 +22,26 @@ RARELY = (100_000, 50, 100)
 
 def trend(
     sources: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="CALIBRATION.json|DIR", help="Calibrations, or folders that hold them."),
+        list[Path] | None, argument("CALIBRATION.json|DIR", "Calibrations, or folders that hold them.")
     ] = None,
     store: Annotated[
-        str | None,
-        typer.Option(
-            "--store", metavar="FILE|URL", envvar="PIGA_STORE", help="Store to take the records from."
-        ),
+        str | None, option("--store", "FILE|URL", "Store to take the records from.", envvar="PIGA_STORE")
     ] = None,
     serial: Annotated[
-        str | None,
-        typer.Option(
-            "--serial", metavar="SERIAL", help="Serial number of the instrument; needed with a store."
-        ),
+        str | None, option("--serial", "SERIAL", "Serial number of the instrument; needed with a store.")
     ] = None,
     at: Annotated[
-        str | None,
-        typer.Option("--at", metavar="YYYY-MM-DD", help="Date of the forecast [default: a year ahead]."),
+        str | None, option("--at", "YYYY-MM-DD", "Date of the forecast [default: a year ahead].")
     ] = None,
     common: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--common",
-            metavar="PART | SOURCE=PART",
-            help="Share (0 to 1) of Type B that all records have in common, for all sources or one [default: 1].",
+            "PART | SOURCE=PART",
+            "Share (0 to 1) of Type B that all records have in common, for all sources or one [default: 1].",
         ),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Write trend.json and trend.html.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "DIR", "Write trend.json and trend.html.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

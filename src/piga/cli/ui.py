@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piga.cli.common import say
+from piga.cli.common import argument, option, say
 
 if TYPE_CHECKING:
     from piga.workbench.security import Door
@@ -17,11 +17,10 @@ _Gone = typer.Option(hidden=True, metavar="...")
 
 def ui(
     folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="Folder of records [default: this one].", show_default=False),
+        Path, argument("FOLDER", "Folder of records [default: this one].", show_default=False)
     ] = Path(),
     port: Annotated[
-        int, typer.Option(metavar="N", help="Port on this machine [default: a free one].", show_default=False)
+        int, option("--port", "N", "Port on this machine [default: a free one].", show_default=False)
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
     host: Annotated[str | None, _Gone] = None,

@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
-from piga.cli.common import ForceOption, JsonOption, deliver, say, tell
+from piga.cli.common import ForceOption, JsonOption, argument, deliver, option, say, tell
 from piga.data import example_files
 from piga.errors import ArgumentError
 
@@ -77,7 +75,7 @@ def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
 
 
 def terms(
-    name: Annotated[str | None, typer.Argument(metavar="TERM", help="One term; all if left out.")] = None,
+    name: Annotated[str | None, argument("TERM", "One term; all if left out.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """List the terms of the error model.
@@ -116,7 +114,7 @@ def methods(as_json: JsonOption = False) -> None:
 
 
 def examples(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")] = Path("examples"),
+    out: Annotated[Path, option("--out", "DIR", "Folder for the files.")] = Path("examples"),
     force: ForceOption = False,
 ) -> None:
     """Write all example files, as the how-tos use them.
@@ -143,8 +141,7 @@ WHERE = {
 
 def completion(
     shell: Annotated[
-        Literal["bash", "zsh", "fish"],
-        typer.Argument(metavar="SHELL", help="bash, zsh or fish.", show_default=False),
+        Literal["bash", "zsh", "fish"], argument("SHELL", "bash, zsh or fish.", show_default=False)
     ],
 ) -> None:
     """Print the script for completion with Tab.
