@@ -12,7 +12,6 @@ import pytest
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.reports.compensation import (
-    CompensationFacts,
     compensation_page,
     correction_spectrum,
     force_figure,
@@ -62,7 +61,7 @@ def test_misfits_make_the_residual_and_flags_the_flags():
 def test_the_page_of_a_set_says_type_a_only():
     """In the verdict, once, with the names of the instruments: no calibration here states the reference's uncertainty."""
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
-    page = compensation_page(result, CompensationFacts(NAMES, (), {}))
+    page = compensation_page(result, NAMES, (), {})
     assert page.judgement is not None
     assert page.judgement.tone == "doubtful"
     assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
@@ -74,7 +73,7 @@ def test_outline_holds_misfits_corrections_and_flags():
     for name in ("residual", *(f"misfit {i}" for i in range(4))):
         t, values = result.curve(name)
         assert round(t[np.nanargmax(np.abs(values))] / STEP) in (1200, 1201)
-    assert result.marks["fault"].count == 2
+    assert result.flags["fault"].size == 2
     assert [single.flagged["no_increment"] for single in result.instruments] == [1, 1, 1, 1]
     for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
         t, force = result.curve(f"f_{axis}")
@@ -109,14 +108,12 @@ def test_page_says_what_contradicts_and_has_units_on_every_axis():
     figures = (force_figure(result), misfit_figure(result, NAMES))
     assert all(axis.quantity and axis.unit for figure in figures for p in figure.panels for axis in (p.x, p.y))
     assert len(figures[1].panels) == 5
-    html = page_html(compensation_page(result, CompensationFacts(NAMES, (), {"method": "exact"})))
+    html = page_html(compensation_page(result, NAMES, (), {"method": "exact"}))
     assert "2 rows contradict themselves" in html
     sound, _ = outline_of_set([rotation(a) for a in SKEWED], 600)
-    assert "No row contradicts itself" in page_html(compensation_page(sound, CompensationFacts(NAMES, (), {})))
+    assert "No row contradicts itself" in page_html(compensation_page(sound, NAMES, (), {}))
     three, _ = outline_of_set(orthogonal(), 600)
-    assert "Three instruments fit any force exactly" in page_html(
-        compensation_page(three, CompensationFacts(NAMES[:3], (), {}))
-    )
+    assert "Three instruments fit any force exactly" in page_html(compensation_page(three, NAMES[:3], (), {}))
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ import glob
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,8 +30,9 @@ from piga.errors import ArgumentError
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.compensation import Compensated, Phase
-    from piga.records import Calibration, Run
+    from piga.compensation import Phase
+    from piga.compensation.result import Inputs
+    from piga.records import Calibration
     from piga.reports.compensation import CompensationOutline
 
 
@@ -277,7 +278,6 @@ def _single(
             **options.arguments(),
         )
         written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
-    document = summary_of(result, [record], written, inputs)
     if page is not None:
         from piga.reports.compensation import of_record
 
@@ -287,9 +287,8 @@ def _single(
         words = {"method": check_method(options.method, calibration)}
         words |= {} if calibration.direct else {"phase used": phase_used}
         data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
-        outline = of_record(record, calibration, result)
-        _write_page(outline, (data,), inputs, options.in_words(**words), page, document, (record, result))
-    return document, calibrations
+        _write_page(of_record(record, calibration, result), (data,), inputs, options.in_words(**words), page)
+    return summary_of(result, [record], written, inputs), calibrations
 
 
 def _together(
@@ -325,32 +324,26 @@ def _together(
             records, mounted, details=page is not None, progress=advance, **options.arguments()
         )
         written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
-    summary = summary_of(result, records, written, inputs)
     if page is not None:
         from piga.reports.compensation import of_set
 
-        outline = of_set(records, mounted, result)
         names = tuple(
             f"{path.stem} ({one.serial})" if one.serial else path.stem
             for path, one in zip(paths, calibrations, strict=True)
         )
-        files = list(dict.fromkeys(inputs))
-        _write_page(outline, names, files, options.in_words(method="exact"), page, summary)
-    return summary, calibrations
+        words = options.in_words(method="exact")
+        _write_page(of_set(records, mounted, result), names, list(dict.fromkeys(inputs)), words, page)
+    return summary_of(result, records, written, inputs), calibrations
 
 
 def _write_page(
-    outline: CompensationOutline, names: tuple[str, ...], files: list[tuple[str, str]], options: dict[str, str],
-    page: Path, summary: dict[str, Any], whole: tuple[Run, Compensated] | None = None,
-) -> None:  # fmt: skip
-    from piga.reports.compensation import CompensationFacts, compensation_page
+    outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str], page: Path
+) -> None:
+    from piga.reports.compensation import compensation_page
     from piga.reports.render.page import write_page
 
-    u = summary["u_velocity_m_s"] or ()
-    u_velocity = (u,) if isinstance(u, float) else tuple(u)
-    facts = CompensationFacts(names, files, options, summary["repairs"], summary["notes"], u_velocity)
     with progress("writing the report"):
-        write_page(compensation_page(outline, facts, whole), page)
+        write_page(compensation_page(outline, names, files, options), page)
 
 
 def _live(calibration: Calibration, kind: str, options: _CompensationOptions, arrow: bool) -> None:

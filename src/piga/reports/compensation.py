@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -49,24 +50,6 @@ CURVE_POINTS = 1 << 15
 """Most points of an envelope; fewer rows are kept whole."""
 LEADING_ROWS = 1 << 20
 """Rows of an instrument that its spectrum uses at most."""
-MARKS = 4096
-"""Most places of one flag that are drawn."""
-
-
-@dataclass(frozen=True)
-class Marks:
-    """Where a flag stands: times of flagged rows, evenly thinned, their count, first and last time."""
-
-    t: Array
-    count: int
-    first: float
-    last: float
-
-
-def _marks_of(t: Array) -> Marks:
-    """The marks of rows at these times."""
-    first, last = (float(t[0]), float(t[-1])) if t.size else (math.nan, math.nan)
-    return Marks(t[:: math.ceil(t.size / MARKS) or 1], t.size, first, last)
 
 
 def rms(values: Array) -> float:
@@ -130,25 +113,29 @@ def _as_residuals(
 
 
 class CompensationOutline:
-    """Outline of a compensation.
+    """Outline of a compensation: its result and records, and envelopes of its curves.
 
     Curves by name, for each of the ``components`` (``a_x``; or ``f_x``, ``f_y``, ``f_z`` of a set): the component itself,
     ``indicated``, ``correction`` and ``u`` before its name; of a set also ``residual`` and a ``misfit`` of each instrument.
     """
 
     def __init__(
-        self, kind: str, result: Compensated | CompensatedSet, mounted: Sequence[Mounted] = ()
+        self, result: Compensated | CompensatedSet, records: Sequence[Run], mounted: Sequence[Mounted] = ()
     ) -> None:
-        self.kind, self.mounted = kind, tuple(mounted)
+        self.result, self.records, self.mounted = result, tuple(records), tuple(mounted)
         self.components = tuple(f"f_{axis}" for axis in XYZ) if mounted else ("a_x",)
         self.instruments: list[Indication] = []
-        self.size, self.start = result.size, float(result.t[0])
-        self.flagged = int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
+        self.size, self.t = result.size, result.t - result.t[0]
         self.velocity = np.atleast_1d(result.dv.sum(axis=0))
-        self.marks = {name: _marks_of(result.t[result.flagged(name)]) for name in FLAGS}
-        self._t = result.t
+        self.u_velocity = np.atleast_1d(result.u_velocity)
         self._curves: dict[str, tuple[Array, Array]] = {}
         self._rms: dict[str, float] = {}
+
+    @property
+    def flags(self) -> dict[str, Array]:
+        """Times of the rows with each flag that is raised, since the first row [s]."""
+        times = {name: self.t[self.result.flagged(name)] for name in FLAGS if self.result.flags.size}
+        return {name: t for name, t in times.items() if t.size}
 
     @property
     def redundant(self) -> bool:
@@ -158,16 +145,12 @@ class CompensationOutline:
     def add(self, name: str, values: Array) -> None:
         """Add a curve of all rows."""
         rows = envelope_rows(values, CURVE_POINTS)
-        self._curves[name], self._rms[name] = (self._t[rows] - self.start, values[rows]), rms(values)
+        self._curves[name], self._rms[name] = (self.t[rows], values[rows]), rms(values)
 
     def add_component(self, name: str, indicated: Array, force: Array, u: Array) -> None:
         """Add the curves of a component [m/s^2]; ``u`` may be empty."""
-        for kind, values in (
-            ("", force),
-            ("indicated ", indicated),
-            ("correction ", indicated - force),
-            ("u ", u),
-        ):
+        curves = {"": force, "indicated ": indicated, "correction ": indicated - force, "u ": u}
+        for kind, values in curves.items():
             if values.size:
                 self.add(kind + name, values)
 
@@ -186,7 +169,7 @@ class CompensationOutline:
 
 def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
     """Outline of a single instrument."""
-    outline = CompensationOutline(record.kind, result)
+    outline = CompensationOutline(result, [record])
     one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.dv, result.flags)
     outline.instruments.append(one)
     outline.add_component("a_x", indicated, result.ax, result.u_ax)
@@ -195,7 +178,7 @@ def of_record(record: Run, calibration: Calibration, result: Compensated) -> Com
 
 def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: CompensatedSet) -> CompensationOutline:
     """Outline of a set; ``result`` with details."""
-    outline = CompensationOutline(records[0].kind, result, mounted)
+    outline = CompensationOutline(result, records, mounted)
     begins = np.logical_or.reduce([record.begins for record in records])
     from_axes = np.linalg.pinv(np.array([item.axes[0] for item in mounted], dtype=float))
     indicated = np.zeros((3, result.size))
@@ -414,16 +397,16 @@ def orders_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure 
 
 def flag_figure(outline: CompensationOutline) -> Figure | None:
     """Times of every raised flag; None if no flag is raised."""
-    raised = {name: marks for name, marks in outline.marks.items() if marks.count}
-    if not raised:
+    if not outline.flags:
         return None
     axis = Axis("bit position of flag", "1", limits=(-0.5, 9.5))
     plot = Plot("compensation-flags", "Flags against time.", TIME, axis, height=2.8)
-    for name, marks in raised.items():
+    for name, t in outline.flags.items():
         bit = FLAGS[name].bit_length() - 1
-        rows = "1 row" if marks.count == 1 else f"{marks.count} rows"
-        role = _FLAG_ROLES.get(name, "warning")
-        plot.points(marks.t - outline.start, np.full(marks.t.size, float(bit)), f"{bit} {name}: {rows}", role)
+        rows = "1 row" if t.size == 1 else f"{t.size} rows"
+        shown = t[:: -(-t.size // POINTS)]
+        label, role = f"{bit} {name}: {rows}", _FLAG_ROLES.get(name, "warning")
+        plot.points(shown, np.full(shown.size, float(bit)), label, role)
     return plot.caption("One mark per flagged row, or fewer in long records; the counts are of all rows.")
 
 
@@ -431,23 +414,6 @@ def flag_figure(outline: CompensationOutline) -> Figure | None:
 
 COMPARED_ROWS = 1 << 18
 """Most rows of a record that is compared with its reference."""
-
-
-@dataclass(frozen=True)
-class CompensationFacts:
-    """Inputs of a compensation.
-
-    ``names`` of the instruments. ``files`` are all files read, each with the SHA-256 of the bytes read. ``options``: as
-    given, in words. ``repairs``: number of rows by kind, counted while reading. ``notes``: those of the result.
-    ``u_velocity``: standard uncertainty of the velocity along each component [m/s], if it is known.
-    """
-
-    names: tuple[str, ...]
-    files: Inputs
-    options: dict[str, str]
-    repairs: dict[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    u_velocity: tuple[float, ...] = ()
 
 
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
@@ -471,12 +437,10 @@ def page(result: Compensated) -> Page:
             remedy="compensate again: piga.compensate(run, cal)",
         )
     run, calibration = result.made_from
-    outline = of_record(run, calibration, result)
     data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
-    facts = CompensationFacts(
-        (data[0],), (data,), {"method": result.method}, notes=result.notes, u_velocity=(result.u_velocity,)
+    return compensation_page(
+        of_record(run, calibration, result), (data[0],), (data,), {"method": result.method}
     )
-    return compensation_page(outline, facts, (run, result))
 
 
 def _coefficient_words(c: Coefficient) -> tuple[str, str]:
@@ -486,42 +450,54 @@ def _coefficient_words(c: Coefficient) -> tuple[str, str]:
 
 
 def compensation_page(
-    outline: CompensationOutline, facts: CompensationFacts, whole: tuple[Run, Compensated] | None = None
+    outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
 ) -> Page:
-    """The page of a compensation. ``whole``: record and result of a single instrument, compared with the reference."""
-    single = not outline.mounted
+    """The page of a compensation.
+
+    Parameters
+    ----------
+    outline:
+        The outline of its result.
+    names:
+        Of the instruments.
+    files:
+        All files read, each with the SHA-256 of the bytes read.
+    options:
+        As given, in words.
+    """
+    single, kind = not outline.mounted, outline.records[0].kind
     serial = outline.instruments[0].calibration.serial
     sections = [Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),))]
     if not single:
-        sections.append(_misfit(outline, facts))
+        sections.append(_misfit(outline, names))
     direct = outline.instruments[0].calibration.direct
-    sections += [] if direct else [_orders(outline, facts)]
+    sections += [] if direct else [_orders(outline, names)]
     if single:
-        sections.append(_reference(outline, whole))
-    sections.append(_flags(outline, facts))
+        sections.append(_reference(outline))
+    sections.append(_flags(outline, names))
     if not single:
-        sections.append(_instruments(outline, facts))
-    sections += [*_repairs(facts), _provenance(outline, facts)]
+        sections.append(_instruments(outline, names))
+    sections += [*_repairs(outline), _provenance(outline, names, files, options)]
     return Page(
         title=f"Compensation of {serial if single else f'{len(outline.mounted)} instruments'}",
-        subtitle=f"{', '.join(facts.names)}; {count(outline.size)} rows; the output is of kind "
-        f"{'count' if direct and outline.kind == 'angle' else outline.kind}.",
-        tiles=_tiles(outline, facts),
+        subtitle=f"{', '.join(names)}; {count(outline.size)} rows; the output is of kind "
+        f"{'count' if direct and kind == 'angle' else kind}.",
+        tiles=_tiles(outline),
         sections=tuple(sections),
-        judgement=_judgement(outline, facts),
+        judgement=_judgement(outline, names),
         kicker="piga · compensation",
         footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. {ALONE}",
     )
 
 
-def _judgement(outline: CompensationOutline, facts: CompensationFacts) -> Judgement:
+def _judgement(outline: CompensationOutline, names: Sequence[str]) -> Judgement:
     """The verdicts on all calibrations in one box, the worst on top; each doubt of a set names its instruments."""
     each = [judgement(instrument.calibration) for instrument in outline.instruments]
     if len(each) == 1:
         return judgement(outline.instruments[0].calibration, "The calibration that was used: ")
     worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
     named: dict[tuple[str, str], list[str]] = {}
-    for name, instrument in zip(facts.names, outline.instruments, strict=True):
+    for name, instrument in zip(names, outline.instruments, strict=True):
         for doubt in instrument.calibration.verdict.doubts:
             named.setdefault((sentence(doubt.what), doubt.remedy), []).append(name)
     problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
@@ -545,10 +521,10 @@ def _together(outline: CompensationOutline, kind: str) -> str:
     return _micro_g(math.hypot(*(outline.rms(f"{kind} {name}") for name in outline.components)))
 
 
-def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile, ...]:
+def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
     velocity = ", ".join(short(float(v), 4) for v in outline.velocity)
     axes = "" if len(outline.velocity) == 1 else " x, y, z"
-    known = [short(u, 2) for u in facts.u_velocity if math.isfinite(u)]
+    known = [short(u, 2) for u in outline.u_velocity if math.isfinite(u)]
     u = f"standard uncertainty {', '.join(known)} m/s; " if known else ""
     tiles = [
         Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
@@ -558,27 +534,28 @@ def _tiles(outline: CompensationOutline, facts: CompensationFacts) -> tuple[Tile
         tiles.append(Tile("u, rms", _together(outline, "u"), "µg", "standard uncertainty of one row"))
     if outline.has("residual"):
         tiles.append(Tile("Residual, rms", _micro_g(outline.rms("residual")), "µg", "of the redundant set"))
-    share = short(100.0 * outline.flagged / max(outline.size, 1))
-    tone: Tone = "good" if outline.flagged == 0 else "doubtful"
+    flagged = int(np.count_nonzero(outline.result.flags & ~FLAGS["no_increment"]))
+    share = short(100.0 * flagged / max(outline.size, 1))
+    tone: Tone = "good" if flagged == 0 else "doubtful"
     detail = f"{share} % of the rows, no_increment not counted"
-    return (*tiles, Tile("Rows with a flag", count(outline.flagged), "", detail, tone))
+    return (*tiles, Tile("Rows with a flag", count(flagged), "", detail, tone))
 
 
-def _misfit(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
     title, anchor = "Instruments against each other", "misfit"
     if not outline.redundant:
         text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
         return Section(title, anchor, (Notice("info", text),))
-    faults = outline.marks["fault"].count
+    faults = int(np.count_nonzero(outline.result.flagged("fault")))
     words = f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
     notice = Notice("warning", words)
     if faults == 0:
         notice = Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
-    return Section(title, anchor, (notice, FigureBlock(misfit_figure(outline, facts.names))))
+    return Section(title, anchor, (notice, FigureBlock(misfit_figure(outline, names))))
 
 
-def _orders(outline: CompensationOutline, facts: CompensationFacts) -> Section:
-    figure = orders_figure(outline, facts.names)
+def _orders(outline: CompensationOutline, names: Sequence[str]) -> Section:
+    figure = orders_figure(outline, names)
     nothing = "No part of the record turns far enough, or nothing turns with the output."
     blocks: list[Block] = [Notice("info", nothing) if figure is None else FigureBlock(figure)]
     if outline.size > LEADING_ROWS:
@@ -588,9 +565,9 @@ def _orders(outline: CompensationOutline, facts: CompensationFacts) -> Section:
     return Section("Revolution orders", "orders", tuple(blocks))
 
 
-def _reference(outline: CompensationOutline, whole: tuple[Run, Compensated] | None) -> Section:
+def _reference(outline: CompensationOutline) -> Section:
     title, anchor = "Against the reference", "reference"
-    if whole is None or outline.size > COMPARED_ROWS:
+    if not isinstance(outline.result, Compensated) or outline.size > COMPARED_ROWS:
         text = f"The error against the reference along the input axis is shown for records of at most {count(COMPARED_ROWS)} rows."
         return Section(title, anchor, (Notice("info", text),))
     instrument = outline.instruments[0]
@@ -600,41 +577,40 @@ def _reference(outline: CompensationOutline, whole: tuple[Run, Compensated] | No
         "these are the errors against it; they hold the errors of that reference, too.",
         lead=True,
     )
-    drawn = error_figures(*whole, instrument.scale_factor, noise)
+    drawn = error_figures(outline.records[0], outline.result, instrument.scale_factor, noise)
     return Section(title, anchor, (lead, *(FigureBlock(figure) for figure in drawn)))
 
 
-def _flags(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
     """The figure of flags, and their table; of a set with the rows of each instrument."""
     figure = flag_figure(outline)
     if figure is None:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
-    raised = [(name, marks) for name, marks in outline.marks.items() if marks.count]
     table = (
-        TableOf(raised)
+        TableOf(outline.flags.items())
         .text("flag", lambda row: row[0])
         .number("bit", lambda row: str(FLAGS[row[0]]))
-        .number("rows", lambda row: count(row[1].count))
-        .number("share", lambda row: short(100.0 * row[1].count / outline.size), "%")
+        .number("rows", lambda row: count(row[1].size))
+        .number("share", lambda row: short(100.0 * row[1].size / outline.size), "%")
     )
     notes: tuple[str, ...] = ()
     if outline.mounted:
-        instruments = list(zip(facts.names, outline.instruments, strict=True))
+        instruments = list(zip(names, outline.instruments, strict=True))
         table.across(instruments, lambda one: one[0], lambda row, one: count(one[1].flagged[row[0]]))
         notes = ("A row of the set carries the flags of all its instruments. A fault is one of the set.",)
-    table.number("first at", lambda row: short(row[1].first - outline.start, 6), "s")
-    table.number("last at", lambda row: short(row[1].last - outline.start, 6), "s")
+    table.number("first at", lambda row: short(float(row[1][0]), 6), "s")
+    table.number("last at", lambda row: short(float(row[1][-1]), 6), "s")
     table.text("meaning", lambda row: MEANING[row[0]])
     caption = "Flags that were raised; times since the first row."
-    said = [Notice("warning", words) for words in facts.notes]
+    said = [Notice("warning", words) for words in outline.result.notes]
     return Section("Flags", "flags", (*said, FigureBlock(figure), table.table(caption, notes)))
 
 
-def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+def _instruments(outline: CompensationOutline, names: Sequence[str]) -> Section:
     indices = range(len(outline.instruments))
     table = (
         TableOf(indices)
-        .text("instrument", lambda i: facts.names[i])
+        .text("instrument", lambda i: names[i])
         .across(
             range(3),
             lambda axis: f"X0 along {XYZ[axis]}",
@@ -647,11 +623,15 @@ def _instruments(outline: CompensationOutline, facts: CompensationFacts) -> Sect
     return Section("Instruments", "instruments", (table,))
 
 
-def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
-    if not facts.repairs:
+def _repairs(outline: CompensationOutline) -> tuple[Section, ...]:
+    """What was found in the records while they were read; nothing where nothing was."""
+    repairs: Counter[str] = Counter()
+    for record in outline.records:
+        repairs.update({event.kind: event.count for event in record.quality.events})
+    if not repairs:
         return ()
     table = (
-        TableOf(facts.repairs.items())
+        TableOf(repairs.items())
         .text("finding", lambda item: item[0])
         .number("count", lambda item: count(item[1]))
         .table("Repairs of the record.")
@@ -659,11 +639,13 @@ def _repairs(facts: CompensationFacts) -> tuple[Section, ...]:
     return (Section("Found while reading", "repairs", (table,)),)
 
 
-def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Section:
+def _provenance(
+    outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
+) -> Section:
     many = len(outline.instruments) > 1
-    options = dict(facts.options)
+    options = dict(options)
     coefficients = []
-    for name, instrument in zip(facts.names, outline.instruments, strict=True):
+    for name, instrument in zip(names, outline.instruments, strict=True):
         calibration, of = instrument.calibration, f" ({name})" if many else ""
         made = calibration.provenance
         options[f"calibration of{of}"] = f"{calibration.serial}, by {made.software} on {made.created}"
@@ -673,7 +655,7 @@ def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Secti
             f"{short(instrument.scale_factor, 8)} ({calibration.unit})/(m/s²)"
         )
         coefficients += [(name, c) for c in calibration.coefficients]
-    for name, item in zip(facts.names, outline.mounted, strict=False):
+    for name, item in zip(names, outline.mounted, strict=False):
         if item.phase is not None:
             phase = rounded(item.phase.value, item.phase.std).concise
             options[f"phase used ({name})"] = f"{phase} rad, as given"
@@ -684,6 +666,6 @@ def _provenance(outline: CompensationOutline, facts: CompensationFacts) -> Secti
     table.number("value", lambda row: _coefficient_words(row[1])[0])
     table.text("unit", lambda row: _coefficient_words(row[1])[1])
     how = named_values("", "", options, "How it was compensated.")
-    read = named_values("file", "SHA-256", facts.files, "Files as they were read.", code=True)
+    read = named_values("file", "SHA-256", files, "Files as they were read.", code=True)
     used = table.table("Coefficients of the calibration, standard uncertainty in brackets.")
     return Section("Provenance", "provenance", (how, used, read))
