@@ -15,9 +15,8 @@ from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, short, signed
 from piga.reports.render.page import (
     ALONE,
-    Block,
     Cell,
-    FigureBlock,
+    Content,
     Notice,
     Page,
     Section,
@@ -39,11 +38,11 @@ def campaign_page(collected: Collected) -> Page:
     judged = [result for result in collected.groups if _has_truth(result)]
     plain = [result for result in collected.groups if result.coefficients and not _has_truth(result)]
     seen = [result for result in collected.groups if result.seen]
-    sections: list[tuple[str, str, Sequence[Block]]] = [
+    sections: list[tuple[str, str, Sequence[Content]]] = [
         ("Judgement", "judgement", judgement(collected)),
         ("Intervals", "intervals", _intervals(judged, collected) if judged else []),
         ("Results", "results", _tables(plain, _plain_table)),
-        ("Over the grid", "grid", [FigureBlock(figure) for figure in _grid_figures(collected)]),
+        ("Over the grid", "grid", _grid_figures(collected)),
         ("What the calibrations report", "seen", [_seen_table(seen)] if seen else []),
         ("Worst cases", "worst", [_worst_table(collected)] if collected.worst else []),
         ("Records that failed", "failures", [_failure_table(collected)] if collected.failures else []),
@@ -65,9 +64,9 @@ def _has_truth(result: GroupResult) -> bool:
 # --- judgement ---------------------------------------------------------------------------------------
 
 
-def judgement(collected: Collected) -> list[Block]:
+def judgement(collected: Collected) -> list[Content]:
     """What is missing or failed, and every quantity that misses its target."""
-    blocks: list[Block] = []
+    blocks: list[Content] = []
     if collected.missing:
         text = f"{len(collected.missing)} of {collected.shards} shards are not computed. Their records are missing."
         blocks.append(Notice("warning", text))
@@ -132,13 +131,12 @@ _LEAD = (
 )
 
 
-def _intervals(judged: list[GroupResult], collected: Collected) -> list[Block]:
-    blocks: list[Block] = [Text(_LEAD, lead=True), FigureBlock(_coverage_figure(judged))]
-    return [*blocks, *_tables(judged, _interval_table), FigureBlock(error_figure(collected))]
+def _intervals(judged: list[GroupResult], collected: Collected) -> list[Content]:
+    return [_LEAD, _coverage_figure(judged), *_tables(judged, _interval_table), error_figure(collected)]
 
 
-def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -> list[Block]:
-    blocks: list[Block] = [table(result) for result in results[:_GROUPS]]
+def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -> list[Content]:
+    blocks: list[Content] = [table(result) for result in results[:_GROUPS]]
     if len(results) > _GROUPS:
         blocks.append(Text(f"{len(results) - _GROUPS} more groups are in coefficients.csv."))
     return blocks

@@ -231,7 +231,7 @@ def _report(calibration: Calibration, draft: Draft) -> str:
     """The report, with blanks for data that are known only when the record gets its place."""
     from piga.reports.calibration.page import page as calibration_page
     from piga.reports.calibration.tables import facts_table
-    from piga.reports.render.page import Section, Text, page_html
+    from piga.reports.render.page import Section, page_html
 
     lead = (
         "This report is part of a record that is never changed. The head below vouches for every record before it: "
@@ -247,6 +247,6 @@ def _report(calibration: Calibration, draft: Draft) -> str:
     rows += [("Measured", draft.measured)] if draft.measured else []
     rows += [("Supersedes", draft.supersedes)] if draft.supersedes else []
     page = calibration_page(calibration)
-    section = Section("Record", "record", (Text(lead, lead=True), facts_table(rows, code=True)))
+    section = Section("Record", "record", (lead, facts_table(rows, code=True)))
     footer = f"Record {_ID}, number {_NUMBER}, after head {_AFTER}. {page.footer}"
     return page_html(replace(page, sections=(*page.sections, section), footer=footer))

@@ -19,7 +19,6 @@ from piga.reports.render.envelope import POINTS
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.reports.render.numbers import count
 from piga.reports.render.page import (
-    FigureBlock,
     Notice,
     Page,
     Section,
@@ -98,7 +97,7 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
     )
     findings = quality_table(quality) if quality.events else Notice("good", "Nothing was found.")
     terms = (Section("Terms", "terms", (prospects_table(prospects),)),) if prospects else ()
-    drawn = FigureBlock(partial(record_figure, run))
+    drawn = partial(record_figure, run)
     return Page(
         f"Record of {run.serial}",
         Path(run.source).name,

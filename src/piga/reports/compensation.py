@@ -29,8 +29,6 @@ from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, rounded, short
 from piga.reports.render.page import (
     ALONE,
-    Block,
-    FigureBlock,
     Judgement,
     Notice,
     Page,
@@ -424,9 +422,7 @@ def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figu
 def brief(result: Compensated | CompensatedSet) -> Page:
     """What a notebook and the terminal show of a compensation in memory."""
     facts = named_values("", "", result.in_brief())
-    return Page(
-        result.heading(), sections=(Section("", "result", (facts, FigureBlock(result_figure(result)))),)
-    )
+    return Page(result.heading(), sections=(Section("", "result", (facts, result_figure(result))),))
 
 
 def page(result: Compensated) -> Page:
@@ -467,7 +463,7 @@ def compensation_page(
     """
     single, kind = not outline.mounted, outline.records[0].kind
     serial = outline.instruments[0].calibration.serial
-    sections = [Section("Specific force", "specific-force", (FigureBlock(force_figure(outline)),))]
+    sections = [Section("Specific force", "specific-force", (force_figure(outline),))]
     if not single:
         sections.append(_misfit(outline, names))
     direct = outline.instruments[0].calibration.direct
@@ -551,18 +547,15 @@ def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
     notice = Notice("warning", words)
     if faults == 0:
         notice = Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
-    return Section(title, anchor, (notice, FigureBlock(misfit_figure(outline, names))))
+    return Section(title, anchor, (notice, misfit_figure(outline, names)))
 
 
 def _orders(outline: CompensationOutline, names: Sequence[str]) -> Section:
     figure = orders_figure(outline, names)
     nothing = "No part of the record turns far enough, or nothing turns with the output."
-    blocks: list[Block] = [Notice("info", nothing) if figure is None else FigureBlock(figure)]
-    if outline.size > LEADING_ROWS:
-        blocks.append(
-            Text(f"Of the first {count(LEADING_ROWS)} rows. Figures against time show the whole record.")
-        )
-    return Section("Revolution orders", "orders", tuple(blocks))
+    part = f"Of the first {count(LEADING_ROWS)} rows. Figures against time show the whole record."
+    shown = (figure or Notice("info", nothing), Text(part) if outline.size > LEADING_ROWS else None)
+    return Section("Revolution orders", "orders", shown)
 
 
 def _reference(outline: CompensationOutline) -> Section:
@@ -572,13 +565,12 @@ def _reference(outline: CompensationOutline) -> Section:
         return Section(title, anchor, (Notice("info", text),))
     instrument = outline.instruments[0]
     noise = (instrument.calibration.angle_rms, instrument.calibration.angle_random_walk)
-    lead = Text(
+    lead = (
         "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
-        "these are the errors against it; they hold the errors of that reference, too.",
-        lead=True,
+        "these are the errors against it; they hold the errors of that reference, too."
     )
     drawn = error_figures(outline.records[0], outline.result, instrument.scale_factor, noise)
-    return Section(title, anchor, (lead, *(FigureBlock(figure) for figure in drawn)))
+    return Section(title, anchor, (lead, *drawn))
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
@@ -603,7 +595,7 @@ def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
     table.text("meaning", lambda row: MEANING[row[0]])
     caption = "Flags that were raised; times since the first row."
     said = [Notice("warning", words) for words in outline.result.notes]
-    return Section("Flags", "flags", (*said, FigureBlock(figure), table.table(caption, notes)))
+    return Section("Flags", "flags", (*said, figure, table.table(caption, notes)))
 
 
 def _instruments(outline: CompensationOutline, names: Sequence[str]) -> Section:

@@ -13,7 +13,6 @@ from piga.gravity_norm.estimate import SetCalibration
 from piga.reports.render.figure import Figure, Plot
 from piga.reports.render.numbers import fixed, pretty_unit, rounded, short
 from piga.reports.render.page import (
-    FigureBlock,
     Notice,
     Page,
     Section,
@@ -91,7 +90,7 @@ def page(cal: SetCalibration) -> Page:
         ),
         (
             Section("Terms", "terms", (Text(_words(cal)), _terms_table(cal), *notices)),
-            Section("Residuals", "of-spells", (FigureBlock(partial(residual_figure, cal)),)),
+            Section("Residuals", "of-spells", (partial(residual_figure, cal),)),
             Section("Static spells", "spells", (spells,)),
             origin(cal.input_sha256),
         ),

@@ -15,13 +15,11 @@ from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short
 from piga.reports.render.page import (
-    FigureBlock,
     Notice,
     Page,
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
     origin,
 )
@@ -153,13 +151,12 @@ def _at(each: AllanDeviation, tau: np.ndarray, one: float, k: int) -> str:
 
 def page(noise: NoiseAnalysis) -> Page:
     """Levels, figures and all numbers."""
-    lead = Text(
+    lead = (
         "Levels are those of the largest likelihood of the spectrum. An interval ends where the likelihood falls to that of "
-        "95 %. A level is not seen where its interval begins at zero.",
-        lead=True,
+        "95 %. A level is not seen where its interval begins at zero."
     )
     notices = [Notice("warning", remark) for remark in remarks(noise)]
-    drawn = FigureBlock(partial(_deviations_figure, noise))
+    drawn = partial(_deviations_figure, noise)
     stretches = "one stretch" if noise.stretches == 1 else f"{noise.stretches} stretches"
     return Page(
         f"Noise of {noise.source}",
@@ -168,7 +165,7 @@ def page(noise: NoiseAnalysis) -> Page:
         (
             Section("Levels", "levels", (lead, _levels_table(noise), *notices, drawn)),
             Section("Deviations", "all-deviations", (_deviations_table(noise),)),
-            Section("Spectrum", "the-spectrum", (FigureBlock(partial(spectrum_figure, noise)),)),
+            Section("Spectrum", "the-spectrum", (partial(spectrum_figure, noise),)),
             origin(noise.input_sha256),
         ),
         kicker="piga noise",

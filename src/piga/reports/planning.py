@@ -16,15 +16,12 @@ from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
 from piga.reports.render.numbers import pretty_unit, short, signed, significant
 from piga.reports.render.page import (
-    Block,
     Cell,
-    FigureBlock,
     Notice,
     Page,
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
     Tone,
     named_values,
@@ -169,18 +166,18 @@ _CRITERIA = {
 
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
-    lead = Text(f"Least is {_CRITERIA[plan.request.settings.criterion]}.", lead=True)
-    places, spread = FigureBlock(partial(_dwell_figure, plan)), FigureBlock(partial(_uncertainty_figure, plan))
+    lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
+    places, spread = partial(_dwell_figure, plan), partial(_uncertainty_figure, plan)
     sections = [
         Section("The test", "the-test", (lead, places, _visit_table(plan))),
         Section("What it will give", "what-it-gives", (_uncertainty_table(plan), spread)),
-        Section("Time", "time", (*_cheapest_blocks(plan), FigureBlock(partial(_duration_figure, plan)))),
+        Section("Time", "time", (_cheapest(plan), partial(_duration_figure, plan))),
     ]
     if not plan.request.direct:
-        lock = (FigureBlock(partial(_lock_figure, plan)), *_excluded_blocks(plan))
+        lock = (partial(_lock_figure, plan), _excluded(plan))
         sections.append(Section("Lock zone", "lock-zone", lock))
     if mounting is not None:
-        blocks = (_mounting_notice(mounting), FigureBlock(partial(_mounting_figure, mounting)))
+        blocks = (_mounting_notice(mounting), partial(_mounting_figure, mounting))
         sections.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
@@ -272,32 +269,31 @@ def _locked_notes(plan: Plan) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _cheapest_blocks(plan: Plan) -> tuple[Block, ...]:
+def _cheapest(plan: Plan) -> Notice | None:
+    """The shortest test with the wanted uncertainties; None if none are wanted."""
     cheapest = plan.cheapest
     if cheapest is None:
-        return ()
+        return None
     shown = (
         (name, u, *shown_unit(name, unit_of(name, plan.request.unit)))
         for name, u in plan.request.wanted.items()
     )
     wanted = ", ".join(f"u({name}) = {short(u * scale)} {pretty_unit(unit)}" for name, u, scale, unit in shown)
     if cheapest.plan is None:
-        return (Notice("problem", f"Wanted {wanted}: {cheapest.refusal}."),)
+        return Notice("problem", f"Wanted {wanted}: {cheapest.refusal}.")
     visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.plan.visits)
-    return (
-        Notice(
-            "good",
-            f"Wanted {wanted}: {short(cheapest.plan.duration)} s are enough ({visits}); no test of these candidates "
-            f"is shorter than {short(cheapest.bound)} s.",
-        ),
+    return Notice(
+        "good",
+        f"Wanted {wanted}: {short(cheapest.plan.duration)} s are enough ({visits}); no test of these candidates "
+        f"is shorter than {short(cheapest.bound)} s.",
     )
 
 
-def _excluded_blocks(plan: Plan) -> tuple[Block, ...]:
+def _excluded(plan: Plan) -> Notice | Table:
     if not plan.excluded:
-        return (Notice("info", "No candidate is in or near the lock zone."),)
+        return Notice("info", "No candidate is in or near the lock zone.")
     rows = ((item.candidate.label, item.reason) for item in plan.excluded)
-    return (named_values("candidate", "reason", rows, "Candidates left out."),)
+    return named_values("candidate", "reason", rows, "Candidates left out.")
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:

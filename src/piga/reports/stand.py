@@ -19,14 +19,11 @@ from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, significant
 from piga.reports.render.page import (
-    Block,
-    FigureBlock,
     Notice,
     Page,
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
 )
 from piga.results import Array
@@ -301,39 +298,28 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
-def _blocks(drawn: Drawn, *names: str) -> tuple[Block, ...]:
-    return tuple(FigureBlock(drawn[name]) for name in names if name in drawn)
-
-
 def _stand_section(test: SimulatedTest, drawn: Drawn) -> Section:
     values = imperfection_values(test.imperfections)
-    table: tuple[Block, ...] = ()
-    if values:
-        table = (_values_table(values, "Imperfections of the stand: true less assumed value."),)
-    return Section("The stand", "the-stand", (*_blocks(drawn, "stand", "imperfections"), *table))
+    caption = "Imperfections of the stand: true less assumed value."
+    table = _values_table(values, caption) if values else None
+    return Section("The stand", "the-stand", (drawn["stand"], drawn.get("imperfections"), table))
 
 
 def _output_section(drawn: Drawn) -> Section:
-    lead = Text(
-        "The lab sees the output only. The lower panel is the truth that a calibration has to find.", lead=True
-    )
-    return Section("The output", "the-output", (lead, *_blocks(drawn, "output", "locking")))
+    lead = "The lab sees the output only. The lower panel is the truth that a calibration has to find."
+    return Section("The output", "the-output", (lead, drawn["output"], drawn.get("locking")))
 
 
 def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
-    blocks: list[Block] = []
     changes = test.motion.lock_changes() if test.motion is not None else ()
-    if changes:
-        when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
-        blocks.append(Notice("warning", f"Pick-off or torque motor left their range: lock {when}."))
-    blocks += _blocks(drawn, "servo", "bode", "step", "poles")
-    blocks.append(
-        _values_table(
-            predictions(test),
-            "What finite servo stiffness does beyond the quasi-steady model (linear prediction).",
-        )
+    when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
+    lost = f"Pick-off or torque motor left their range: lock {when}."
+    caption = "What finite servo stiffness does beyond the quasi-steady model (linear prediction)."
+    figures = (drawn[name] for name in ("servo", "bode", "step", "poles"))
+    table = _values_table(predictions(test), caption)
+    return Section(
+        "The servo loop", "the-servo", (Notice("warning", lost) if changes else None, *figures, table)
     )
-    return Section("The servo loop", "the-servo", tuple(blocks))
 
 
 def _design_section(p: TwinParameters) -> Section:

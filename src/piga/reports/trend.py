@@ -15,15 +15,12 @@ from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, pretty_unit, rounded, short, signed
 from piga.reports.render.page import (
-    Block,
     Cell,
-    FigureBlock,
     Notice,
     Page,
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
 )
 from piga.results import finite
@@ -142,12 +139,12 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
     ahead = None if at is None else drifts.years(at)
     span = drifts.years(drifts.times[-1])
-    blocks: list[Block] = [Notice("problem", alarm) for alarm in drifts.alarms]
-    blocks = blocks or [Notice("good", "No record is out of control.")]
-    blocks += [Notice("warning", remark) for remark in drifts.remarks]
+    alarms = [Notice("problem", alarm) for alarm in drifts.alarms]
+    remarks = (Notice("warning", remark) for remark in drifts.remarks)
+    judged = (*(alarms or [Notice("good", "No record is out of control.")]), *remarks)
     sections = [
-        Section("Judgement", "judgement", tuple(blocks)),
-        Section("Stability and drift", "stability", (Text(_LEAD, lead=True), _summary_table(drifts, at))),
+        Section("Judgement", "judgement", judged),
+        Section("Stability and drift", "stability", (_LEAD, _summary_table(drifts, at))),
     ]
     sections += [_section(drifts, trend, ahead) for trend in drifts.coefficients]
     return Page(
@@ -162,7 +159,7 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
 def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms, remarks, stability and drift for terminal and notebook, and the figure of the first coefficient."""
     short = page(drifts, at).only("judgement", "stability")
-    drawn = tuple(FigureBlock(partial(trend_figure, drifts, trend)) for trend in drifts.coefficients[:1])
+    drawn = tuple(partial(trend_figure, drifts, trend) for trend in drifts.coefficients[:1])
     return replace(short, sections=(*short.sections, Section("", "first", drawn)))
 
 
@@ -240,8 +237,8 @@ def _spread(value: float) -> str:
 
 
 def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
-    figure = FigureBlock(partial(trend_figure, drifts, trend, ahead))
-    lead = Text(f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}.", lead=True)
+    figure = partial(trend_figure, drifts, trend, ahead)
+    lead = f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}."
     anchor = f"coefficient-{trend.key.replace('_', '-')}"
     return Section(trend.key, anchor, (lead, figure, _record_table(drifts, trend)))
 

@@ -39,7 +39,7 @@ from piga.reports.platform.figures import HOUR, MINUTE, schuler_peak, time_axis
 from piga.reports.platform.page import page
 from piga.reports.render.figure import XYZ, Figure, Plot, Role
 from piga.reports.render.numbers import short
-from piga.reports.render.page import FigureBlock, Page, Section, Table, TableOf, Text, Tile
+from piga.reports.render.page import Page, Section, Table, TableOf, Tile
 from piga.results import Array, Result
 from piga.units import DAY
 
@@ -309,12 +309,8 @@ def capstone_page(capstone: Capstone) -> Page:
     )
     day = (_force_day_figure(capstone), _passage_figure(capstone))
     sections = (
-        Section(
-            "What happens",
-            "story",
-            (Text(story, lead=True), FigureBlock(capstone_figure(capstone)), _capstone_table(capstone)),
-        ),
-        Section("Why", "why", tuple(FigureBlock(figure) for figure in day if figure is not None)),
+        Section("What happens", "story", (story, capstone_figure(capstone), _capstone_table(capstone))),
+        Section("Why", "why", day),
     )
     return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
 

@@ -11,14 +11,11 @@ from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import pretty_unit, significant
 from piga.reports.render.page import (
-    Block,
     Cell,
-    FigureBlock,
     Page,
     Section,
     Table,
     TableOf,
-    Text,
     Tile,
     Tone,
     named_values,
@@ -167,12 +164,10 @@ def reproduction_page(reproduction: Reproduction) -> Page:
 
 
 def _section(chapter: Chapter) -> Section:
-    blocks: list[Block] = [Text(f"{chapter.source}. {chapter.text}", lead=True)]
-    blocks += [FigureBlock(figure) for figure in chapter.figures]
-    blocks += [_numbers(chapter), _notes(chapter)]
+    lead, tables = f"{chapter.source}. {chapter.text}", (_numbers(chapter), _notes(chapter))
     publication = chapter.source[1:].partition("]")[0]
     title = chapter.title if chapter.id == "errata" else f"{publication}: {chapter.title}"
-    return Section(title, chapter.id, tuple(blocks))
+    return Section(title, chapter.id, (lead, *chapter.figures, *tables))
 
 
 def _numbers(chapter: Chapter) -> Table:

@@ -8,7 +8,7 @@ from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, rounded, short, signed
-from piga.reports.render.page import Block, Cell, FigureBlock, Section, Table, TableOf, Text
+from piga.reports.render.page import Cell, Section, Table, TableOf, Text
 from piga.units import MICRO_G
 
 _NUMBERED = tuple[int, dict[str, Any]]
@@ -25,12 +25,8 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
         "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
         "that it does not need raises both a little."
     )
-    words = Text(comparison_words(document))
-    blocks: list[Block] = [Text(lead, lead=True), words, comparison_table(document)]
-    figure, shifts = _comparison_figure(document), _shift_table(document)
-    blocks += [] if figure is None else [FigureBlock(figure)]
-    blocks += [] if shifts is None else [shifts]
-    return (Section("Model choice", "model-choice", tuple(blocks)),)
+    shown = (comparison_table(document), _comparison_figure(document), _shift_table(document))
+    return (Section("Model choice", "model-choice", (lead, Text(comparison_words(document)), *shown)),)
 
 
 def comparison_words(document: dict[str, Any]) -> str:

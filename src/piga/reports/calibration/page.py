@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration
+from piga.records.calibration import Calibration, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import (
     COUNTED,
@@ -58,14 +58,14 @@ from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
 from piga.reports.render.page import (
     ALONE,
-    Block,
-    FigureBlock,
+    Content,
     Notice,
     Page,
     Section,
     Text,
     Tile,
     Tone,
+    introduced,
 )
 from piga.units import G0
 
@@ -167,15 +167,15 @@ def _brief_sections(cal: Calibration) -> Iterator[Section]:
     if cal.remarks:
         yield Section("", "remarks", tuple(Notice("warning", remark) for remark in cal.remarks))
     if cal.residuals is not None and cal.residuals.t.size and not cal.runs:
-        drawn = FigureBlock(partial(residual_figure, cal.residuals, residual_quantity(cal)))
+        drawn = partial(residual_figure, cal.residuals, residual_quantity(cal))
         yield Section("", "residuals", (drawn,))
 
 
 def page(cal: Calibration) -> Page:
     """The report of a calibration."""
     shown = {} if cal.given else calibration_figures(cal)
-    shares = budget_figure(cal) if len(cal.budget) > 1 else None
-    shown |= {} if shares is None else {"budget": shares}
+    if len(cal.budget) > 1 and (shares := budget_figure(cal)) is not None:
+        shown["budget"] = shares
     lines = shown["orders"].notes[:-1] if "orders" in shown else ()
     return Page(
         title=_title(cal),
@@ -194,11 +194,11 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
         return _tested(cal), _coefficients(cal), _provenance(cal)
     return (
         _tested(cal),
-        *_runs(cal),
+        *([_runs(cal)] if cal.runs else []),
         _coefficients(cal),
         _residuals(cal, shown),
-        *_convergence(shown),
-        *(() if cal.direct else (_orders(shown),)),
+        *([_convergence(shown)] if "convergence" in shown else []),
+        *([] if cal.direct else [_orders(shown)]),
         _segments(cal, shown),
         _budget(cal, shown),
         _identifiability(cal, shown),
@@ -334,18 +334,16 @@ def _tested(cal: Calibration) -> Section:
         ("Method", f"{cal.method}: {method}" if method else cal.method),
     ]
     lead = "Which instrument, which record and which model this report is about."
-    return Section("What was tested", "tested", (Text(lead, lead=True), facts_table(rows)))
+    return Section("What was tested", "tested", (lead, facts_table(rows)))
 
 
-def _runs(cal: Calibration) -> tuple[Section, ...]:
-    """The runs of a joint calibration, when there are several."""
-    if not cal.runs:
-        return ()
+def _runs(cal: Calibration) -> Section:
+    """The runs of a joint calibration."""
     lead = (
         "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
         "the others must."
     )
-    return (Section("Runs", "runs", (Text(lead, lead=True), runs_table(cal))),)
+    return Section("Runs", "runs", (lead, runs_table(cal)))
 
 
 def _coefficients(cal: Calibration) -> Section:
@@ -353,12 +351,9 @@ def _coefficients(cal: Calibration) -> Section:
         "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: uncertainties "
         "far below the values, and below what the use of the instrument asks for."
     )
-    blocks: list[Block] = [Text(lead, lead=True), coefficient_table(cal)]
-    correlation = correlation_table(cal)
-    if correlation is not None:
-        text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
-        blocks += [Text(text, lead=True), correlation]
-    return Section("Coefficients", "coefficients", tuple(blocks))
+    text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
+    correlation = introduced(text, correlation_table(cal))
+    return Section("Coefficients", "coefficients", (lead, coefficient_table(cal), *correlation))
 
 
 def _residuals(cal: Calibration, shown: dict[str, Figure]) -> Section:
@@ -366,18 +361,17 @@ def _residuals(cal: Calibration, shown: dict[str, Figure]) -> Section:
         f"What is left of the measured {'output' if cal.direct else 'angle'} when the model is taken away: what the "
         "calibration explains is gone after it, and what it leaves should be noise."
     )
-    missing = "The residuals are not part of this record: run the calibration again to see them."
-    drawn: list[Block] = [FigureBlock(f) for name, f in shown.items() if name.startswith("residuals")]
-    blocks = drawn or [Notice("info", missing)]
-    return Section("Residuals against time", "residuals", (Text(lead, lead=True), *blocks))
+    missing = Notice(
+        "info", "The residuals are not part of this record: run the calibration again to see them."
+    )
+    drawn: list[Content] = [figure for name, figure in shown.items() if name.startswith("residuals")]
+    return Section("Residuals against time", "residuals", (lead, *(drawn or [missing])))
 
 
-def _convergence(shown: dict[str, Figure]) -> tuple[Section, ...]:
-    """The history of a recursive estimate, when there is one."""
-    if "convergence" not in shown:
-        return ()
+def _convergence(shown: dict[str, Figure]) -> Section:
+    """The history of a recursive estimate."""
     lead = "How the estimates settled while the record came in, sample by sample."
-    return (Section("Convergence", "history", (Text(lead, lead=True), FigureBlock(shown["convergence"]))),)
+    return Section("Convergence", "history", (lead, shown["convergence"]))
 
 
 def _orders(shown: dict[str, Figure]) -> Section:
@@ -385,19 +379,18 @@ def _orders(shown: dict[str, Figure]) -> Section:
         "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
         "does not. Good: lines and lobes before calibration, none after."
     )
-    missing = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    drawn: list[Block] = [FigureBlock(shown[name]) for name in ("orders", "ripple") if name in shown]
-    blocks = drawn or [Notice("info", missing)]
-    return Section("Residuals against rotation", "rotation", (Text(lead, lead=True), *blocks))
+    text = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
+    missing = None if {"orders", "ripple"} & shown.keys() else Notice("info", text)
+    content = (lead, shown.get("orders"), shown.get("ripple"), missing)
+    return Section("Residuals against rotation", "rotation", content)
 
 
 def _segments(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
     )
-    blocks: list[Block] = [Text(lead, lead=True)]
-    blocks += [FigureBlock(shown[name]) for name in ("segments", "creep") if name in shown]
-    return Section("Segments", "segments", (*blocks, segment_table(cal)))
+    content = (lead, shown.get("segments"), shown.get("creep"), segment_table(cal))
+    return Section("Segments", "segments", content)
 
 
 def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
@@ -405,27 +398,28 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
     )
-    blocks: list[Block] = [Text(lead, lead=True), *budget_tables(cal)]
-    blocks += [FigureBlock(shown["budget"])] if "budget" in shown else []
-    sensitivities = sensitivity_tables(cal)
-    if sensitivities:
-        text = (
-            "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
-            "Times the standard uncertainty of the source they are the contributions above."
-        )
-        blocks += [Text(text, lead=True), *sensitivities]
-    missing = source_tables(cal)
+    changes = (
+        "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
+        "Times the standard uncertainty of the source they are the contributions above."
+    )
+    missing, warning = source_tables(cal), None
     if missing:
-        text = (
+        warning = (
             f"{cal.verdict.sources}. The sources below exist on this stand, and nobody stated them: the change of each "
             "coefficient for one unit. Add them to [uncertainty] in the run file, or waive them there with a reason."
         )
-        blocks += [Notice("warning", text), *missing]
     elif cal.type_a_only:
-        blocks.append(Notice("warning", f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."))
-    if cal.gravity:
-        blocks.append(Text(f"Local gravity of the reference: {pretty_unit(cal.gravity)}."))
-    return Section("Uncertainty budget", "budget", tuple(blocks))
+        warning = f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."
+    content: tuple[Content, ...] = (
+        lead,
+        *budget_tables(cal),
+        shown.get("budget"),
+        *introduced(changes, *sensitivity_tables(cal)),
+        Notice("warning", warning) if warning else None,
+        *missing,
+        Text(f"Local gravity of the reference: {pretty_unit(cal.gravity)}.") if cal.gravity else None,
+    )
+    return Section("Uncertainty budget", "budget", content)
 
 
 def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
@@ -433,18 +427,21 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "How well this record tells the coefficients apart, and whether the residuals are the noise they should be. "
         "Good: whitened residuals that look like white noise of size one. Doubts stand in the verdict at the top."
     )
-    blocks: list[Block] = [Text(lead, lead=True)]
-    blocks += [Notice("info", f"{sentence(remark)}.") for remark in cal.remarks]
-    blocks += [FigureBlock(shown[name]) for name in ("whiteness", "allan") if name in shown]
     rows = [
         ("Condition number", short(cal.condition)),
         *_noise(cal),
         *scalars({key: value for key, value in asdict(cal.diagnostics).items() if key not in OWN_TABLES}),
     ]
-    blocks.append(facts_table(rows))
-    for tables, text in ((leverage_tables(cal), LEVERAGE_LEAD), (propagation_tables(cal), PROPAGATION_LEAD)):
-        blocks += [Text(text, lead=True), *tables] if tables else []
-    return Section("Identifiability and noise", "identifiability", tuple(blocks))
+    content: tuple[Content, ...] = (
+        lead,
+        *(Notice("info", f"{sentence(remark)}.") for remark in cal.remarks),
+        shown.get("whiteness"),
+        shown.get("allan"),
+        facts_table(rows),
+        *introduced(LEVERAGE_LEAD, *leverage_tables(cal)),
+        *introduced(PROPAGATION_LEAD, *propagation_tables(cal)),
+    )
+    return Section("Identifiability and noise", "identifiability", content)
 
 
 def _noise(cal: Calibration) -> list[tuple[str, str]]:
@@ -467,26 +464,23 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
-    blocks: tuple[Block, ...] = (Notice("good", "Nothing was found to repair or leave out."),)
-    if cal.quality.masked:
-        blocks = (Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used."),)
+    found: Content = Notice("good", "Nothing was found to repair or leave out.")
     if cal.quality.events:
-        blocks = (quality_table(cal.quality),)
-    if cal.runs:
-        rows = [
-            (f"Run {run.name}", f"{count(q.rows)} rows read, {count(q.used)} used, {count(q.masked)} masked")
-            for run in cal.runs
-            for q in (run.quality,)
-        ]
-        blocks = (facts_table(rows), *blocks)
-    if cal.outliers:
-        text = (
-            "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
-            "none is formed across a jump."
-        )
-        drawn = [FigureBlock(shown["outliers"])] if "outliers" in shown else []
-        blocks = (*blocks, Text(text, lead=True), *drawn, outlier_table(cal))
-    return Section("Data quality", "quality", (Text(lead, lead=True), *blocks))
+        found = quality_table(cal.quality)
+    elif cal.quality.masked:
+        found = Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used.")
+    rows = [(f"Run {run.name}", _rows_in_words(run.quality)) for run in cal.runs]
+    text = (
+        "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
+        "none is formed across a jump."
+    )
+    left_out = (text, shown.get("outliers"), outlier_table(cal)) if cal.outliers else ()
+    content = (lead, facts_table(rows) if rows else None, found, *left_out)
+    return Section("Data quality", "quality", content)
+
+
+def _rows_in_words(quality: Quality) -> str:
+    return f"{count(quality.rows)} rows read, {count(quality.used)} used, {count(quality.masked)} masked"
 
 
 def _provenance(cal: Calibration) -> Section:
@@ -494,4 +488,4 @@ def _provenance(cal: Calibration) -> Section:
     rows = [(f"SHA-256 of {name}", digest) for name, digest in cal.provenance.input_sha256.items()]
     rows += [("Software", cal.provenance.software), ("Created", cal.provenance.created)]
     rows += [(f"Option {name}", text) for name, text in scalars(cal.provenance.options)]
-    return Section("Provenance", "provenance", (Text(lead, lead=True), facts_table(rows, code=True)))
+    return Section("Provenance", "provenance", (lead, facts_table(rows, code=True)))

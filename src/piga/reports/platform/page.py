@@ -37,9 +37,8 @@ from piga.reports.platform.figures import (
 )
 from piga.reports.render.numbers import fixed, short
 from piga.reports.render.page import (
-    Block,
     Cell,
-    FigureBlock,
+    Content,
     Notice,
     Page,
     Section,
@@ -124,7 +123,7 @@ def simulation_page(run: PlatformRun) -> Page:
         Tile("base", s.motion.kind, "", "motion of the vehicle"),
     )
     sections = (
-        Section("What is read", "read", (FigureBlock(partial(readouts_figure, run)),)),
+        Section("What is read", "read", (partial(readouts_figure, run),)),
         Section("What was put in", "truth", (_truth_table(s), _case_rotation_text(s))),
     )
     return page("Platform simulation", s, tiles, sections)
@@ -141,11 +140,11 @@ def identification_page(
         spread = f"± {short(m.std / ARCSEC)} arcsec"
         tiles.append(Tile(f"{gyro} misalignment", f"{m.value / ARCMIN:.5f}", "arcmin", spread))
     tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
-    blocks: list[Block] = [_parameter_table(identification, s)]
-    blocks += [Notice("info", note) for note in identification.notes]
+    notes = (Notice("info", note) for note in identification.notes)
+    found: tuple[Content, ...] = (_parameter_table(identification, s), *notes)
     sections = (
-        Section("Misalignments, phases and harmonics", "parameters", tuple(blocks)),
-        Section("As the record grows", "growing", (FigureBlock(partial(convergence_figure, growing)),)),
+        Section("Misalignments, phases and harmonics", "parameters", found),
+        Section("As the record grows", "growing", (partial(convergence_figure, growing),)),
         Section("What each source can tell", "observability", (_observability_table(sources),)),
     )
     return page("Platform identification", s, tuple(tiles), sections)
@@ -171,7 +170,7 @@ def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
     )
     sections = (
         Section("Attitude and drift", "attitude", (_alignment_table(run, aligned),)),
-        Section("How gravity tells it", "cone", (FigureBlock(partial(cone_figure, run, aligned)),)),
+        Section("How gravity tells it", "cone", (partial(cone_figure, run, aligned),)),
     )
     return page("Platform alignment", run.scenario, tiles, sections)
 
@@ -275,13 +274,10 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
         Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
         for m, r in comparison.models.items()
     )
+    each = tuple(partial(model_figure, r) for r in comparison.models.values())
     sections = (
-        Section(
-            "Models over the run",
-            "models",
-            tuple(FigureBlock(partial(model_figure, r)) for r in comparison.models.values()),
-        ),
-        Section("Position", "position", (FigureBlock(partial(position_figure, comparison)),)),
+        Section("Models over the run", "models", each),
+        Section("Position", "position", (partial(position_figure, comparison),)),
         *_preparation_section(comparison.run.scenario, comparison.preparation),
     )
     return page("Platform navigation", comparison.run.scenario, tiles, sections)
@@ -294,24 +290,12 @@ def comparison_page(
 ) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario
+    histories = (partial(published_figure, comparison), partial(histories_figure, comparison))
+    whole = (partial(spectrum_figure, comparison), partial(position_figure, comparison))
     sections = [
         *_line_sections(comparison),
-        Section(
-            "Forty minutes and the whole run",
-            "histories",
-            (
-                FigureBlock(partial(published_figure, comparison)),
-                FigureBlock(partial(histories_figure, comparison)),
-            ),
-        ),
-        Section(
-            "Spectrum and position",
-            "spectrum",
-            (
-                FigureBlock(partial(spectrum_figure, comparison)),
-                FigureBlock(partial(position_figure, comparison)),
-            ),
-        ),
+        Section("Forty minutes and the whole run", "histories", histories),
+        Section("Spectrum and position", "spectrum", whole),
         *_preparation_section(s, comparison.preparation),
     ]
     if budget:
@@ -323,15 +307,15 @@ def comparison_page(
 def _line_sections(c: ModelComparisonRun) -> list[Section]:
     """Lines at the polar case's rate and, at another speed, at the equatorial one's."""
     if not _unequal(c):
-        return [Section("Lines at the case-rotation period", "lines", _line_blocks(c, "amplitude"))]
+        return [Section("Lines at the case-rotation period", "lines", _line_content(c, "amplitude"))]
     periods = [2.0 * np.pi / rate if rate > 0.0 else np.inf for rate in case_rates(c.run.scenario)]
     titles = [
         f"Lines of the {gyro} gyro's case, period {short(period)} s"
         for gyro, period in zip(("polar", "equatorial"), periods, strict=True)
     ]
     return [
-        Section(titles[0], "lines", _line_blocks(c, "amplitude")),
-        Section(titles[1], "equatorial-lines", _line_blocks(c, "equatorial")),
+        Section(titles[0], "lines", _line_content(c, "amplitude")),
+        Section(titles[1], "equatorial-lines", _line_content(c, "equatorial")),
     ]
 
 
@@ -339,25 +323,22 @@ def _unequal(c: ModelComparisonRun) -> bool:
     return any(r.lines.equatorial for r in c.models.values())
 
 
-def _line_blocks(c: ModelComparisonRun, which: Case) -> tuple[Block, ...]:
+def _line_content(c: ModelComparisonRun, which: Case) -> tuple[Content, ...]:
     tables = (
         _line_table(c, which, "east_velocity", "East velocity line", "mm/s", 1e3),
         _line_table(c, which, "north_velocity", "North velocity line", "mm/s", 1e3),
         _line_table(c, which, "heading", "Heading line", "arcmin", 1.0 / ARCMIN),
         _line_table(c, which, "roll", "Roll line", "arcmin", 1.0 / ARCMIN),
     )
-    figure = (FigureBlock(partial(lines_figure, c, which)),) if _days(c) > 1 else ()
-    return (Text(_lines_sentence(c, which), lead=True), *figure, *tables)
+    figure = partial(lines_figure, c, which) if _days(c) > 1 else None
+    return (_lines_sentence(c, which), figure, *tables)
 
 
 def _preparation_section(s: PlatformScenario, p: Preparation) -> tuple[Section, ...]:
     notes = tuple(Notice("info", f"note: {note}") for note in p.notes)
-    blocks: list[Block] = []
-    if p.identification is not None:
-        blocks.append(_parameter_table(p.identification, s))
-    else:
-        blocks.append(Text("The true misalignments were used."))
-    given = Section("What the models were given", "given", tuple(blocks))
+    known = Text("The true misalignments were used.")
+    table = known if p.identification is None else _parameter_table(p.identification, s)
+    given = Section("What the models were given", "given", (table,))
     return (Section("Notes", "notes", notes), given) if notes else (given,)
 
 

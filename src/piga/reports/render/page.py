@@ -240,6 +240,14 @@ class Notice:
 
 
 Block = Text | Table | FigureBlock | Notice
+Content = Block | Figure | Callable[[], Figure] | str | None
+"""What a section is given: a block; a figure, or a function that makes it; what the reader is to look for; None for nothing."""
+
+
+def _block(content: Block | Figure | Callable[[], Figure] | str) -> Block:
+    if isinstance(content, str):
+        return Text(content, lead=True)
+    return content if isinstance(content, Block) else FigureBlock(content)
 
 
 @dataclass(frozen=True)
@@ -260,7 +268,18 @@ class Section:
 
     title: str
     anchor: str
-    blocks: tuple[Block, ...]
+    content: tuple[Content, ...]
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """What is shown, in order."""
+        return tuple(_block(one) for one in self.content if one is not None)
+
+
+def introduced(text: str, *tables: Table | None) -> tuple[Content, ...]:
+    """Tables below what the reader is to look for in them; nothing without a table."""
+    shown = [table for table in tables if table is not None]
+    return (text, *shown) if shown else ()
 
 
 @dataclass(frozen=True)
