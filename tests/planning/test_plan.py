@@ -1,7 +1,6 @@
 """Planning: the optimum is one, the prediction is what happens, and what cannot be planned is refused."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from piga.planning.candidates import (
     coefficient_names,
     find_candidates,
     information_tables,
-    noiseless_run,
     predict,
 )
 from piga.planning.criterion import Criterion, best_mixture
@@ -31,7 +29,6 @@ from tests.chance import assert_variance
 from tests.planning.cases import request
 
 pytestmark = pytest.mark.interpreted
-EXAMPLE = Path(__file__).parents[2] / "examples" / "plan-dividing-head.toml"
 REPEATS = 30
 
 
@@ -126,16 +123,6 @@ def test_no_standard_plan_is_better(tmp_path, criterion):
     assert 0.5 < plan.efficiency <= 1.0
 
 
-def test_mirrored_positions_earn_alike(tmp_path):
-    """Half a turn of the head changes the sign of the force: the same information but for the signs."""
-    wish = request(tmp_path, terms='"scale_factor", "k0", "m_Y"', plan='longest_dwell = "60 s"')
-    tables = information_tables(wish, find_candidates(wish))[:, -1]
-    signs = np.array([-1.0, 1.0, -1.0])
-    for k in (0, 1, 2, 4):
-        scale = np.sqrt(np.outer(np.diag(tables[k]), np.diag(tables[k])))
-        assert np.abs(tables[k + 6] * np.outer(signs, signs) - tables[k]).max() < 2e-3 * scale.max()
-
-
 @pytest.mark.long
 def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
     """Long visits determine coefficients alone: they are cut. The record of the plan has the degrees of freedom predicted."""
@@ -167,16 +154,6 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
 
 
 @pytest.mark.long
-def test_one_coefficient_alone_keeps_the_others_determined(tmp_path):
-    """Only the scale factor counts: nearly all time at +-1 g, the rest makes the other terms estimable."""
-    plan = plan_test(request(tmp_path, plan='coefficients = ["scale_factor"]', duration=1800))
-    assert plan.efficiency > 0.8
-    assert np.all(np.isfinite([plan.best.std(name) for name in plan.names]))
-    upright = sum(v.dwell for v in plan.best.visits if v.candidate.label in ("0 deg", "180 deg"))
-    assert upright > 0.65 * plan.best.recorded  # every other position is visited twice, too
-
-
-@pytest.mark.long
 def test_lock_zone_is_left_out_with_the_reason(tmp_path):
     plan = plan_test(request(tmp_path, plan="margin = 700.0"))
     reasons = {item.candidate.label: item.reason for item in plan.excluded}
@@ -184,24 +161,6 @@ def test_lock_zone_is_left_out_with_the_reason(tmp_path):
     assert reasons["90 deg"].startswith("locked")
     assert reasons["60 deg"].startswith("within 700 times the lock zone")
     assert not set(reasons) & {visit.candidate.label for visit in plan.best.visits}
-
-
-@pytest.mark.long
-def test_cheapest_duration_goes_with_the_inverse_square(tmp_path):
-    bounds, durations = [], []
-    for u in (0.4, 0.2):
-        wish = request(
-            tmp_path,
-            terms='"scale_factor", "k0"',
-            plan=f'wanted = {{ k0 = "{u} ug" }}\nmove = "0.5 s"\nlongest_dwell = "60 s"',
-        )
-        plan = plan_test(wish)
-        assert plan.cheapest.plan.std("k0") <= u * 1e-6
-        bounds.append(plan.cheapest.bound)
-        durations.append(plan.cheapest.plan.duration)
-        assert bounds[-1] <= durations[-1] <= 1.25 * bounds[-1]
-    assert bounds[1] / bounds[0] == pytest.approx(4.0, rel=0.01)
-    assert durations[1] / durations[0] == pytest.approx(4.0, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -318,23 +277,6 @@ def check_repeats(folder, wish, repeats):
         assert_variance((s / plan.best.std(name)) ** 2, repeats - 1, name)
 
 
-@pytest.mark.long
-@pytest.mark.slow
-def test_long_visits_of_the_shipped_plan_are_cut_so_that_it_can_be_calibrated():
-    long = EXAMPLE.read_text("utf-8").replace('longest_dwell = "150 s"', 'longest_dwell = "600 s"')
-    plan = plan_test(read_plan(EXAMPLE, content=long))
-    usual = plan.standard[-1]
-    assert usual.name == "24 positions"
-    assert usual.duration == pytest.approx(2130.0)
-    assert plan.best.duration <= usual.duration
-    places = [visit.candidate.label for visit in plan.best.visits]
-    assert len(places) > len(set(places))
-    assert not plan.best.refusal
-    ratios = [plan.best.std(name) / usual.std(name) for name in plan.names]
-    assert np.exp(np.mean(np.log(ratios))) < 0.85
-    assert "alone determines" in plan.standard[0].refusal
-
-
 SERVO = {
     "terms": '"scale_factor", "tan_beta", "k0", "servo", "servo_damping"',
     "positions": "5:365:60 deg",
@@ -357,23 +299,6 @@ def test_tables_with_the_servo_agree_with_the_estimator(tmp_path):
     std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
     for name, value in zip(coefficient_names(wish), std, strict=True):
         assert prediction.std(name) == pytest.approx(value, rel=0.25 if name in ("phi", "tan_beta") else 0.05)
-
-
-@pytest.mark.long
-def test_prediction_with_the_servo_is_what_repeats_show(tmp_path):
-    """Spread of the estimates over records of the planned test with new noise, and no bias."""
-    wish = with_servo(tmp_path, rate=4, positions="5:365:30 deg")
-    visits = tuple(Visit(c, 60.0) for c in find_candidates(wish))
-    predicted, run = predict(wish, "x", visits, type_b=False), noiseless_run(wish, visits)
-    names, errors = ("scale_factor", "servo", "servo_damping"), []
-    for seed in range(12):
-        walk = 1e-5 * 0.5 * np.random.default_rng(seed).standard_normal(run.size)
-        calibration = piga.calibrate(replace(run, output=run.output + np.cumsum(walk)), wish.model.terms)
-        errors.append([calibration[name].value for name in names])
-    scores = (np.array(errors) - [0.8884, 13e-6, 20e-6]) / [predicted.std(name) for name in names]
-    assert np.abs(scores.mean(axis=0)).max() < 4.0 / math.sqrt(len(scores))
-    for name, square in zip(names, np.mean(scores**2, axis=0), strict=True):
-        assert_variance(square, len(scores), name)
 
 
 @pytest.mark.long

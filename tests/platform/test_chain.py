@@ -8,12 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from piga._kernels.platform.motion import solve_triad
 from piga.errors import ArgumentError
 from piga.platform import load_scenario
 from piga.platform.chain import _drift
 from piga.platform.scenario import PigaSensors
-from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments
+from piga.platform.simulate import TRIPOD, gimbal_angles, locked, read_increments
 from tests.platform.conftest import DEG, EXAMPLES, alignment
 
 PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
@@ -38,38 +37,6 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     mean = 0.5 * (force[1:] + force[:-1])
     assert np.abs(solved - mean).max() < 3e-6 * (tan_beta / 3.6e-4)
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
-
-
-@pytest.mark.interpreted
-def test_two_newton_steps_reach_the_end():
-    """The averaged effective axes are the Jacobian to first order in tan(beta)."""
-    t, force = _sweep(n=40)
-    alpha = gimbal_angles(msgspec.structs.replace(PIGA, beta=np.arctan(5e-3)), t, force, np.zeros((40, 3)))
-    collected = []
-    for sweeps in (2, 6):
-        increments = np.empty((40, 3))
-        constants = np.full(3, PIGA.scale_factor), np.full(3, 5e-3)
-        solve_triad(alpha, mounting_axes(PIGA), *constants, 1.0, sweeps, np.empty((3, 4)), increments)
-        collected.append(increments)
-    assert np.abs(collected[0] - collected[1])[1:].max() < 2e-8
-
-
-@pytest.mark.interpreted
-def test_mounting_axes_are_right_handed_triads():
-    for sensors in (
-        msgspec.structs.replace(PIGA, mounting="orthogonal"),
-        PIGA,
-        msgspec.structs.replace(PIGA, cone=0.4),
-    ):
-        axes = mounting_axes(sensors)
-        for frame in axes:
-            np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
-            assert np.linalg.det(frame) == pytest.approx(1.0)
-    tripod = mounting_axes(PIGA)[:, 0, :]
-    np.testing.assert_allclose(tripod @ tripod.T, np.eye(3), atol=1e-15)
-    assert np.degrees(
-        np.arccos(mounting_axes(msgspec.structs.replace(PIGA, cone=0.4))[0, 0, 2])
-    ) == pytest.approx(np.degrees(0.4))
 
 
 @pytest.mark.interpreted

@@ -9,7 +9,7 @@ from piga.platform import error_budget, linear_errors, simulate
 from piga.platform.chain import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
-from tests.platform.conftest import DEG, INTERPRETED, alignment, published
+from tests.platform.conftest import INTERPRETED, alignment, published
 
 DURATION = 7200.0 if INTERPRETED else 86400.0
 
@@ -44,19 +44,6 @@ def test_a_tilt_swings_with_the_schuler_period():
     crossing = history[np.flatnonzero(np.diff(np.sign(north[1:])))[0] + 1, 0]
     assert crossing == pytest.approx(2.0 * np.pi * np.sqrt(6378137.0**3 / 3.986004418e14) / 2.0, rel=0.01)
     assert north.max() == pytest.approx(0.01 / 1.2394e-3, rel=0.02)
-
-
-@pytest.mark.interpreted
-def test_errors_add_up():
-    place = Place(40 * DEG)
-    one, two = (
-        Perturbation(attitude=(1e-6, 0, 0), height=3.0),
-        Perturbation(bias=(0, 1e-6, 0), drift=(0, 0, 1e-11)),
-    )
-    both = linear_errors(place, one.plus(two), 3600.0)
-    np.testing.assert_allclose(
-        both[:, 1:], (linear_errors(place, one, 3600.0) + linear_errors(place, two, 3600.0))[:, 1:], atol=1e-9
-    )
 
 
 @pytest.mark.interpreted

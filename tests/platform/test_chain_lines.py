@@ -24,8 +24,6 @@ from piga.platform.scenario import (
     PlatformScenario,
     Rotation,
 )
-from piga.reports.platform.figures import lines_figure
-from piga.reports.platform.page import _lines_sentence
 from tests.platform.conftest import ARCMIN, AT_SEA, DEG, long, published
 
 DAY = 86400.0
@@ -357,16 +355,3 @@ def test_a_moving_base_is_noted_where_no_theory_holds():
     assert not has_theory(reversing)
     assert theory_note(reversing).startswith("the cases reverse")
     assert theory_note(published()) == ""
-
-
-@long
-@pytest.mark.parametrize("models", [("none",), ("none", "A")])
-def test_a_page_of_a_moving_base_shows_the_theory_beside_the_lines_of_each_model_that_has_it(models):
-    s = published(
-        duration=7200.0, step=8.0, motion=AT_SEA, compensation=Compensation(models, misalignment="true", attitude="true")
-    )  # fmt: skip
-    made = compare(s)
-    names = {"none": "no model", "A": "model A"}
-    shown = {series.name for series in lines_figure(made).panels[0].series}
-    assert {f"theory, {names[model]}" for model in models} <= shown
-    assert f"The closed form for {names[models[-1]]} is" in _lines_sentence(made, "amplitude")

@@ -8,8 +8,6 @@ import pytest
 from piga.errors import ArgumentError, IdentifiabilityError
 from piga.platform import identify, identify_growing, observability, simulate
 from piga.platform.geometry import apparent_gyro
-from piga.platform.identify import solve
-from piga.platform.observation import ForceFilter, ObservedRecord, Reduced
 from piga.platform.scenario import Gyro, PigaSensors, Rotation, Sensors
 from tests.platform.conftest import (
     ARCMIN,
@@ -96,21 +94,6 @@ def test_too_few_samples_a_turn_are_refused():
         identify(simulate(s).readouts, s.place, sources=("force",))
 
 
-def test_a_long_record_is_cut_into_stretches(monkeypatch):
-    """Forty-five turns: three stretches with a slow force each tell as much as one long one."""
-    s = calibration(duration=21600.0, step=16.0, sensors=NOISE)
-    readouts = simulate(s).readouts
-    assert len(ObservedRecord.checked(readouts, s.place, ("force",), 3).stretches) == 3
-    cut = identify(readouts, s.place, sources=("force",))
-    monkeypatch.setattr("piga.platform.observation.FORCE_FILTER", ForceFilter(turns=100))
-    assert len(ObservedRecord.checked(readouts, s.place, ("force",), 3).stretches) == 1
-    whole = identify(readouts, s.place, sources=("force",))
-    std = np.sqrt(np.diag(whole.covariance))
-    np.testing.assert_allclose(np.sqrt(np.diag(cut.covariance)), std, rtol=0.05)
-    assert np.abs((cut.values - whole.values) / std).max() < 0.8
-    assert np.abs((cut.values - truth(s)[:16]) / std).max() < 4.0
-
-
 def test_a_swaying_base_does_not_spoil_it():
     s = calibration(motion=AT_SEA, step=2.0 if INTERPRETED else 1.0, sensors=NOISE)
     identified = identify(simulate(s).readouts, s.place, sources=("force", "pick-off"))
@@ -195,20 +178,3 @@ def test_an_absent_misalignment_is_called_absent():
     s = calibration(polar=Gyro(), sensors=NOISE)
     identified = identify(simulate(s).readouts, s.place)
     assert any(note.startswith("polar: the misalignment is below") for note in identified.notes)
-
-
-def test_least_squares_agrees_with_the_normal_equations():
-    rng = np.random.default_rng(3)
-    j1, j2, r1, r2 = (
-        rng.normal(size=(40, 3)),
-        rng.normal(size=(30, 3)),
-        rng.normal(size=40),
-        rng.normal(size=30),
-    )
-    parts = [Reduced.of("a", r1, j1), Reduced.of("b", r2, j2)]
-    solution = solve(parts, (0.5, 2.0), ("p", "q", "s"))
-    normal = j1.T @ j1 / 0.25 + j2.T @ j2 / 4.0
-    np.testing.assert_allclose(
-        solution.step, np.linalg.solve(normal, j1.T @ r1 / 0.25 + j2.T @ r2 / 4.0), rtol=1e-12
-    )
-    np.testing.assert_allclose(solution.covariance, np.linalg.inv(normal), rtol=1e-12)

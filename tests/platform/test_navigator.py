@@ -9,7 +9,6 @@ import pytest
 
 from piga import earth
 from piga._kernels.platform.navigation import geodetic, height_and_normal
-from piga._kernels.platform.navigation import gravitation as kernel_gravitation
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge
@@ -18,7 +17,6 @@ from piga.platform.geometry import (
     earth_to_geodetic,
     geodetic_to_earth,
     gimbal_attitude,
-    gravitation,
     local_axes,
     small_angle_attitude,
 )
@@ -160,10 +158,3 @@ def test_a_known_drift_is_taken_out():
     assert left.horizontal.max() > 100.0
     assert taken.horizontal.max() < 0.01
     assert np.abs(taken.attitude).max() < 1e-7
-
-
-def test_the_kernel_gravitation_is_that_of_the_field():
-    r = np.array([4.1e6, -1.0e6, 4.8e6])
-    np.testing.assert_allclose(
-        kernel_gravitation(*r, KERNEL_EARTH[0], KERNEL_EARTH[1])[:3], gravitation(r), rtol=1e-15
-    )

@@ -112,12 +112,6 @@ def test_bad_parts() -> None:
         LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.full((2, 3), np.nan))
 
 
-def test_times_within_one_part_of_a_composite() -> None:
-    stand = Composite((SHORT_HEAD, replace(SHORT_HEAD, positions=(2.0,))), pause=5.0)
-    early, _ = stand.motion(np.array([1.0]), NONE)
-    assert early[0] == pytest.approx(SHORT_HEAD.motion(np.array([1.0]), NONE)[0][0])
-
-
 def test_text_in_a_profile(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t,x,y,z\n0,one,0,0\n5,two,0,0\n")

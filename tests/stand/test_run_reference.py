@@ -29,15 +29,6 @@ positions = "0:360:15 deg"
 """
 
 
-VIBRATION = """[stand]
-kind = "vibration-table"
-latitude = "40 deg"
-[[stand.drives]]
-shape = "rest"
-duration = "60 s"
-"""
-
-
 def edited(folder: Path, *, stand: str = STAND, uncertainty: str = "", keep_reference: bool = False) -> Path:
     path = copy_example(folder)
     lines = path.read_text().split("[uncertainty]")[0].splitlines()

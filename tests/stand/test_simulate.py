@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,6 @@ from piga.stand import (
     DividingHead,
     Imperfections,
     Specimen,
-    sample_stand,
     simulate_test,
 )
 from piga.units import G0
@@ -169,12 +168,6 @@ def test_coloured_bias_turns_the_output(coloured: dict[str, float], kind: str):
 
 
 @pytest.mark.interpreted
-def test_markov_noise_needs_its_time():
-    with pytest.raises(ArgumentError, match="markov_time"):
-        Electronics(bias_markov=1e-5)
-
-
-@pytest.mark.interpreted
 def test_bias_walk_and_rate_output():
     e = Electronics(sample_rate=10.0, kind="rate", bias_random_walk=1e-3)
     walked = simulate_test(HEAD, Specimen(INST), e)
@@ -233,23 +226,6 @@ def test_random_walk_of_the_twin_has_the_stated_level():
 
 
 SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
-
-
-@dataclass(frozen=True)
-class Nothing:
-    """A stand without a segment."""
-
-    kind = "nothing"
-    accepted = ()
-    fastest = 1.0
-
-    def segments(self) -> tuple[()]:
-        return ()
-
-
-def test_a_stand_without_segments() -> None:
-    with pytest.raises(ArgumentError, match="no segment"):
-        sample_stand(Nothing(), 1.0)
 
 
 def test_bad_steps_and_harmonics() -> None:

@@ -131,19 +131,6 @@ def test_a_simulated_sine_has_the_integrals_of_a_sine():
     assert np.abs(test.rate[rows] - np.ravel(true_rates)).max() < 1e-9
 
 
-@pytest.mark.long
-def test_calibration_finds_the_scale_factor_of_a_fast_vibration(tmp_path):
-    drives = (Drive("rest", 10.0), Drive("sine", 20.0, 8.0, amplitude=30.0)) * 2
-    table = VibrationTable(SITE, drives, axis="X0", up="X0")
-    e = Electronics(sample_rate=1000.0, kind="angle", zero=0.5, angle_noise=1e-6, angle_random_walk=1e-6)
-    test = simulate_test(table, Specimen(INST, ErrorModel(k0="3e-4 g")), e, seed=11)
-    cal = calibrate(run_record(test, tmp_path, ["scale_factor", "k0", "k2"]))
-    truth = truth_of(test)
-    for c in cal.coefficients:
-        assert abs(c.value - truth.get((c.name, None), 0.0)) < 4.0 * c.std, c.name
-    assert cal["scale_factor"].std < 1e-5 * cal["scale_factor"].value
-
-
 def test_straight_lines_stay_by_a_step_or_a_kink():
     t = np.arange(0.0, 1.0, 0.01)[:, None]
     for values in (np.where(t > 0.5, 3.0, 0.0), np.abs(t - 0.5), np.ones_like(t), t):
@@ -186,18 +173,3 @@ def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp
         model_error = raw[key][0] - error
         assert abs(error) < 4.0 * std + 0.1 * abs(model_error), key
         assert abs(raw[key][0]) < 4.0 * std + 1.2 * abs(model_error), key
-
-
-@pytest.mark.long
-def test_second_harmonic_of_a_soft_servo_shows_at_order_two(tmp_path):
-    from piga.calibration.orders import order_spectrum
-    from piga.reports.calibration.tables import scale_factor
-
-    stand = DividingHead(SITE, (math.pi / 4, 7 * math.pi / 4), dwell=120.0, move=5.0)
-    soft = replace(PRESETS["example"], integral_gain=0.0)
-    e = Electronics(sample_rate=20.0)
-    test = simulate_test(stand, Specimen(INST, twin=soft), e, model="twin")
-    cal = calibrate(run_record(test, tmp_path, ["tan_beta", "k0"]))
-    spectrum = order_spectrum(cal.residuals, scale_factor(cal))
-    amplitude = np.nan_to_num(spectrum.after)
-    assert spectrum.order[int(np.argmax(amplitude))] == pytest.approx(2.0, abs=0.15)

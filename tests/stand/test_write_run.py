@@ -12,28 +12,20 @@ import pytest
 
 from piga.calibration.calibrate import calibrate
 from piga.errors import CalibrationError, PigaError, RunFileError
-from piga.instrument.parameters import ErrorModel
-from piga.instrument.twin.parameters import PRESETS
 from piga.records.text_files import toml_text
 from piga.stand import (
-    DividingHead,
-    Specimen,
     read_scenario,
     run_scenario,
-    simulate_test,
 )
 from piga.stand.write_run import (
-    coefficients,
     imperfection_values,
     log_table,
-    predicted_angle_error,
     run_file_text,
     truth_document,
     truth_text,
     write_data,
 )
-from piga.units import G0
-from tests.stand.simulated import COUNTS, INST, SCENARIO, SITE, saved, truth_of, written
+from tests.stand.simulated import SCENARIO, saved, truth_of, written
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -239,30 +231,6 @@ def test_errors_while_running_name_the_file(tmp_path):
     path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "0.3 Hz"'))
     with pytest.raises(PigaError, match=r"scenario.toml: segment 'move to 1' lasts"):
         run_scenario(read_scenario(path))
-
-
-SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
-
-
-def test_first_harmonics_are_told_in_the_zero_of_the_output() -> None:
-    """``s1 sin(alpha) + c1 cos(alpha)`` over the angle as read, ``alpha = psi + phase``."""
-    model = ErrorModel(s1=2e-5 * G0, c1=-1e-5 * G0)
-    test = simulate_test(SHORT_HEAD, Specimen(INST, error_model=model), COUNTS)
-    told = {value.name: value.value for value in coefficients(test)}
-    psi, phase = 0.3, test.phases[0]
-    assert told["s1"] * math.sin(psi) + told["c1"] * math.cos(psi) == pytest.approx(
-        2e-5 * math.sin(psi + phase) - 1e-5 * math.cos(psi + phase), abs=1e-18
-    )
-
-
-@pytest.mark.long
-def test_predicted_error_of_twin_and_quasi_steady_model() -> None:
-    specimen = Specimen(INST, twin=PRESETS["example-stiff"])
-    assert not predicted_angle_error(simulate_test(SHORT_HEAD, specimen, COUNTS)).any()
-    test = simulate_test(SHORT_HEAD, specimen, COUNTS, model="twin")
-    predicted = predicted_angle_error(test)
-    assert predicted.shape == test.log.t.shape
-    assert 0.0 < np.abs(predicted).max() < 1e-2
 
 
 def test_a_log_of_rates_loses_its_phase_between_positions(tmp_path: Path) -> None:

@@ -24,13 +24,6 @@ def small_ramp(kind: str) -> piga.Run:
     return piga.Run.from_arrays(t, output, f, scale_factor="0.8884 rad/s/g", kind=kind, units="SI")
 
 
-@pytest.mark.interpreted
-def test_published_on_a_small_ramp() -> None:
-    run = small_ramp("rate")
-    assert piga.calibrate(run, ["tan_beta"])["tan_beta"].value == pytest.approx(0.00484817479568412, rel=1e-6)
-    assert published_recursion(run, FIVE)["tan_beta"].value == pytest.approx(0.00484817479568412, rel=0.05)
-
-
 @pytest.mark.long
 def test_the_published_ramp() -> None:
     calibration = published_recursion(record("ramp"))

@@ -141,13 +141,6 @@ def test_groups_are_one_way_analysis_of_variance():
     assert np.sqrt(line.covariance[1, 1]) == pytest.approx(fit.stderr, rel=1e-10)
 
 
-def test_single_values_are_groups_of_their_own():
-    groups = of_days(np.arange(4.0), np.arange(4.0), np.full(4, 0.5))
-    assert groups.freedom == 0
-    assert groups.within == 0.0
-    assert groups.variances == pytest.approx(np.full(4, 0.5))
-
-
 def test_days_with_repeats_and_shared_errors_at_50_digits():
     rng = np.random.default_rng(11)
     days = np.repeat(np.arange(12), rng.integers(1, 4, 12))
