@@ -65,14 +65,6 @@ def test_per_segment_phases_share_tan_beta() -> None:
 
 
 @pytest.mark.long
-def test_whitened_beats_angle_blind_methods() -> None:
-    """With angle noise the rate method is far from efficient; the whitened one never loses to it."""
-    run = record(np.random.default_rng(14), white=5e-5)
-    whitened, rate = piga.calibrate(run, TERMS), piga.calibrate(run, TERMS, "rate")
-    assert whitened["scale_factor"].std < 0.6 * rate["scale_factor"].std
-
-
-@pytest.mark.long
 def test_rate_log() -> None:
     rng = np.random.default_rng(15)
     t = np.arange(20_001) * 0.01
@@ -160,27 +152,6 @@ def _integrate_with_harmonics(step, f, force, truth):
         k4 = rate(now + h * k3, f[i + 2], force[i + 2])
         alpha.append(now + h * (k1 + 2 * k2 + 2 * k3 + k4) / 6.0)
     return np.array(alpha)
-
-
-@pytest.mark.long
-def test_trapezoid_of_the_coupling_would_be_biased() -> None:
-    """The product integration holds tan_beta where the plain trapezoid makes it too large by (d psi)^2/12."""
-    t = np.arange(0.0, 100.0, 0.1)
-    f = np.tile(G0 * np.array([2.0, 3.0, 0.0]), (t.size, 1))
-    inst = piga.Instrument(scale_factor=SCALE, beta="1000 arcsec")
-    run = piga.Run.from_arrays(
-        t, piga.propagate(inst, t, f, between="linear"), f, scale_factor=SCALE, units="SI"
-    )
-    estimate = piga.calibrate(run, ["tan_beta"])["tan_beta"].value
-    truth = 0.00484817479568412
-    assert estimate == pytest.approx(truth, rel=2e-6)
-    scale = 0.8884 / G0
-    coupling = scale * np.column_stack([f[:, 1] * np.sin(run.output), f[:, 1] * np.cos(run.output)])
-    columns = 0.05 * (coupling[1:] + coupling[:-1])
-    increments = np.diff(run.output) - 0.1 * scale * f[1:, 0]
-    trapezoid = np.hypot(*np.linalg.lstsq(columns, increments, rcond=None)[0])
-    step = 0.8884 * 2.0 * 0.1
-    assert trapezoid / truth - 1.0 == pytest.approx(step**2 / 12.0, rel=0.02)
 
 
 def ramp(kind: str) -> piga.Run:
@@ -274,16 +245,6 @@ def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     with pytest.raises(piga.IdentifiabilityError, match="one-plane tumble") as caught:
         piga.calibrate(flat, ["scale_factor", "tan_beta", "k0", "k2", "k_YY"])
     assert "k0, k2, k_YY" in caught.value.message
-
-
-@pytest.mark.long
-def test_a_useless_estimate_is_refused() -> None:
-    """A hair of a_x is not information on k2 beside k0."""
-    run = still((1.0, 0.3, 0.0))
-    f = run.f.copy()
-    f[:, 0] *= 1.0 + 1e-7 * np.sin(run.t)
-    with pytest.raises(piga.IdentifiabilityError, match=r"does not determine|cannot separate"):
-        piga.calibrate(replace(run, f=f), ["tan_beta", "k0", "k2"])
 
 
 @pytest.mark.long

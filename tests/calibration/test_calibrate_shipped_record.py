@@ -6,7 +6,6 @@ import gzip
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import piga
@@ -109,19 +108,3 @@ def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(fo
     phi = calibration["phi"]
     assert abs(phi.value) < phi.expanded < 2.0 * abs(phi.value)
     assert calibration.diagnostics.segment_scatter_ratio_without_it > 2.0
-
-
-def test_the_ripple_is_gone(folder: Path) -> None:
-    """Before: a ripple of tan_beta a_t once a turn; after: below a fiftieth of it."""
-    calibration = piga.calibrate(piga.read_run(folder / "tumble-a.toml"))
-    residuals = calibration.residuals
-    assert residuals is not None
-
-    def amplitude(angle: np.ndarray) -> float:
-        part = residuals.segment == 5
-        x = residuals.t[part] - residuals.t[part][0]
-        design = np.column_stack([np.ones_like(x), x, np.sin(residuals.psi[part]), np.cos(residuals.psi[part])])
-        return float(np.hypot(*np.linalg.lstsq(design, angle[part])[0][2:]))
-
-    assert amplitude(residuals.before) > 1e-3
-    assert amplitude(residuals.after) < 0.02 * amplitude(residuals.before)

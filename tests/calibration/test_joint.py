@@ -86,25 +86,6 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
     return replace(made, estimation=run.estimation)
 
 
-def test_summary_stands_in_for_the_raw_data(
-    runs: list[piga.Run], together: piga.Calibration, tmp_path: Path
-) -> None:
-    """A summary holds the columns of all terms; written, read and merged it gives the same numbers."""
-    RunSummary.of(runs[0], TERMS, name="run 1").to_json(tmp_path / "old.json")
-    old = RunSummary.from_json(tmp_path / "old.json")
-    merged = piga.calibrate([old, runs[1]], TERMS)
-    for a, b in zip(merged.coefficients, together.coefficients, strict=True):
-        assert (a.key, a.value, a.std) == (
-            b.key,
-            pytest.approx(b.value, rel=1e-9),
-            pytest.approx(b.std, rel=1e-9),
-        )
-    assert [run.raw for run in merged.runs] == [False, True]
-    assert any("is a summary" in remark for remark in merged.remarks)
-    asked_anew = piga.calibrate([old, runs[1]], [*TERMS, "k3"])
-    assert asked_anew["k3"].std < 1e-4
-
-
 def test_two_runs_that_cannot_separate_terms_either(runs: list[piga.Run]) -> None:
     with pytest.raises(piga.IdentifiabilityError, match="2 runs together cannot"):
         piga.calibrate(runs, ["scale_factor", "k0", "m_Z", "k_ZZ"])

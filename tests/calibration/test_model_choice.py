@@ -11,9 +11,7 @@ import pytest
 
 import piga
 from piga.calibration.model.design import Design
-from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import make_request
-from piga.calibration.model_choice import predict
 from piga.calibration.weights import Noise, weighted_blocks
 from tests.calibration.made.synthetic import TERMS, record
 
@@ -137,18 +135,6 @@ def test_confounded_set_stays_with_its_reason(run):
     assert comparison.ranking == (0, 1)
 
 
-@pytest.mark.long
-def test_k1_and_sets_without_scale_factor(run):
-    """k1 beside another set's scale_factor is the same model; without either the nominal one is fixed."""
-    others = tuple(term for term in TRUE if term != "scale_factor")
-    comparison = piga.compare_models(run, [TRUE, ("k1", *others), others])
-    assert comparison.sets[1].chi_square == pytest.approx(comparison.sets[0].chi_square, rel=1e-12)
-    assert comparison.sets[2].parameters == comparison.sets[0].parameters - 1
-    alone = piga.compare_models(run, [others])
-    noise = (alone.angle_rms / comparison.angle_rms) ** 2
-    assert comparison.sets[2].chi_square == pytest.approx(noise * alone.sets[0].chi_square, rel=2e-2)
-
-
 def test_blocks_when_there_is_one_segment():
     whole = small(2)
     moving = np.sin(0.1 * whole.t)[:, None] * np.array([9.0, 0.0, 0.0]) + np.array([3.0, 5.0, 0.0])
@@ -191,29 +177,3 @@ def test_wrong_requests(run):
         piga.compare_models(run, [["k0"], []])
     with pytest.raises(piga.RunFileError, match="set 1: unknown term 'K0'"):
         piga.compare_models(run, [["K0"]])
-
-
-def part_of(rows: np.ndarray) -> Reduction:
-    """Triangle of a set of two columns; the first is the constant force, too."""
-    part = Reduction.empty(("a", "b", "k0"))
-    part.absorb(np.ascontiguousarray(rows[:, [0, 1, 0, 2]].T))
-    return part
-
-
-def test_what_cannot_be_predicted_from_the_rest_is_not() -> None:
-    rng = np.random.default_rng(5)
-    rows = [np.column_stack([x := rng.standard_normal((6, 2)), x @ [2.0, 3.0] + 0.1]) for _ in range(3)]
-    parts = [part_of(r) for r in rows]
-    assert predict(parts[:1], 1.0) is None
-    whole = predict(parts, 1.0)
-    assert whole is not None
-    expected = 0.0
-    for k in range(3):
-        rest = np.vstack([r for i, r in enumerate(rows) if i != k])
-        x = np.linalg.lstsq(rest[:, :2], rest[:, 2], rcond=None)[0]
-        expected += float(np.sum((rows[k][:, 2] - rows[k][:, :2] @ x) ** 2))
-    assert whole.chi_square == pytest.approx(expected, rel=1e-9)
-    only_here = [part_of(r * [1.0, float(k == 0), 1.0]) for k, r in enumerate(rows)]
-    assert predict(only_here, 1.0) is None  # b is seen in the first part alone
-    twice = [part_of(np.column_stack([r[:, 0], 2.0 * r[:, 0], r[:, 2]])) for r in rows]
-    assert predict(twice, 1.0) is None

@@ -4,7 +4,6 @@ import math
 import numpy as np
 import pytest
 
-from piga.calibration import orders
 from piga.calibration.orders import count_size, order_spectrum, ripple
 from piga.records.calibration import Residuals
 from piga.units import ARCSEC, G0
@@ -44,30 +43,6 @@ def test_changing_rate_uneven_samples_and_a_hole_do_no_harm():
     # The hole is bridged as if the rate were constant there: 0.1 % is what that costs here.
     assert spectrum.after[at(spectrum, 2)] == pytest.approx(planted, rel=0.01)
     assert spectrum.before[at(spectrum, 2)] == pytest.approx(3 * planted, rel=0.01)
-
-
-@pytest.mark.parametrize("order", [1, 6])
-def test_joining_the_samples_of_a_long_record_keeps_the_lines(order, monkeypatch):
-    """A line at its full height, the floor within a hundredth of it, and a seventh of the samples worked on."""
-    psi = 2.0 * math.pi * np.arange(300_000) / 2000.0
-    t, none = 0.01 * np.arange(psi.size), np.zeros(psi.size)
-    after = K * 20.0 * MICRO_G * ripple_integral(psi, t, order, 1.1)
-    result = Residuals(none, t, psi, none, 3.0 * after, after, none, none.astype(np.int32))
-    joined = order_spectrum(result, K)
-    monkeypatch.setattr(orders, "_SAMPLES", psi.size + 1)
-    whole = order_spectrum(result, K)
-    line = whole.after[at(whole, order)]
-    assert line == pytest.approx(20.0 * MICRO_G, rel=1e-3)
-    assert joined.after[at(whole, order)] == pytest.approx(line, rel=0.02)
-    assert np.nanmax(np.abs(joined.after - whole.after)) < 0.02 * line
-    assert not np.array_equal(joined.after, whole.after)
-
-
-def test_cross_coupling_is_order_one_and_is_gone_after():
-    spectrum = order_spectrum(residuals(), K)
-    transverse = TAN_BETA * G0
-    assert 0.3 * transverse < spectrum.before[at(spectrum, 1)] < transverse
-    assert spectrum.after[at(spectrum, 1)] < 0.02 * transverse
 
 
 def test_noise_alone_lies_on_the_expected_noise():

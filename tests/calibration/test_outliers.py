@@ -69,25 +69,6 @@ def test_jumps_and_stuck_readings_have_their_times() -> None:
 
 
 @pytest.mark.long
-def test_increment_across_a_bad_sample_is_exact() -> None:
-    """Noiseless vibration with every fifth sample bad: merged columns integrate the inner samples too."""
-    fine = np.arange(12_000 * 16) * (0.005 / 16)
-    force = G0 * np.column_stack([1.0 + 3.0 * np.sin(8.0 * fine), np.cos(0.3 * fine), 0.0 * fine])
-    inst = piga.Instrument(scale_factor=SCALE, beta=BETA)
-    t, f, alpha = fine[::16], force[::16], piga.propagate(inst, fine, force, between="linear")[::16]
-    alpha = alpha + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
-    good = piga.Run.from_arrays(t, alpha, f, scale_factor=SCALE, units="SI")
-    output = alpha.copy()
-    output[2::5] += 0.01
-    bad = piga.Run.from_arrays(t, output, f, scale_factor=SCALE, units="SI")
-    terms = ["scale_factor", "tan_beta", "k0", "k2"]
-    with_all, without = piga.calibrate(good, terms), piga.calibrate(bad, terms)
-    assert sum(o.samples for o in without.outliers) == output[2::5].size
-    for name in terms:
-        assert without[name].value == pytest.approx(with_all[name].value, abs=3.0 * without[name].std)
-
-
-@pytest.mark.long
 def test_too_much_is_refused() -> None:
     run = record(np.random.default_rng(34), **NOISE)
     with pytest.raises(piga.DataError, match=r"% of the samples contradict the reference"):
@@ -229,26 +210,17 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("count", "readings", "size"), [(8, 4, 1e-3), (4, 8, 0.05)])
-def test_one_wrong_reading_of_thirty_two(count: int, readings: int, size: float) -> None:
-    """15 records: sound ones keep all readings, of others the wrong one alone is left out.
-
-    With four positions a wrong first reading of a position may leave too little for an interval: refused, not guessed.
-    """
-    kept = alone = refused = 0
+def test_one_wrong_reading_of_thirty_two() -> None:
+    """15 records of eight positions: sound ones keep all readings, of others the wrong one alone is left out."""
+    kept = alone = 0
     for seed in range(15):
-        rng = np.random.default_rng([seed, count])
-        run = few_readings(rng, count, readings)
+        rng = np.random.default_rng([seed, 8])
+        run = few_readings(rng, 8, 4)
         terms = ["scale_factor", "tan_beta", "k0"]
         kept += not piga.calibrate(run, terms).outliers
         output = run.output.copy()
-        output[rng.integers(run.size)] += size
-        try:
-            result = piga.calibrate(replace(run, output=output), terms)
-        except piga.IdentifiabilityError:
-            refused += 1
-            continue
+        output[rng.integers(run.size)] += 1e-3
+        result = piga.calibrate(replace(run, output=output), terms)
         alone += sum(outlier.samples for outlier in result.outliers) == 1
     assert kept >= 14
     assert alone >= 12
-    assert refused <= (2 if count == 4 else 0)

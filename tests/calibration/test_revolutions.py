@@ -17,7 +17,7 @@ from tests.calibration.made.synthetic import SCALE, TERMS, at_rest, errors, reco
 @pytest.mark.long
 def test_same_truth_with_larger_uncertainty() -> None:
     squares = []
-    for seed in range(12):
+    for seed in range(4):
         run = record(np.random.default_rng([seed, 51]), white=5e-5, walk=1e-6, seconds=60.0)
         turns, whole = piga.calibrate(run, TERMS, "revolutions"), piga.calibrate(run, TERMS)
         z = errors(turns)
@@ -26,18 +26,6 @@ def test_same_truth_with_larger_uncertainty() -> None:
         for name in ("scale_factor", "k0", "k2", "m_Y"):
             assert 1.2 * whole[name].std < turns[name].std < 30.0 * whole[name].std
     assert np.mean(squares) < 1.3
-
-
-@pytest.mark.long
-def test_positions_that_do_not_turn_once_are_named() -> None:
-    run = record(np.random.default_rng(52), seconds=20.0)
-    calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "revolutions")
-    event = next(e for e in calibration.quality.events if e.kind == "no-whole-revolution")
-    assert 0 < event.count == len(run.labels) - len(calibration.segments)
-    assert "the output does not turn once" in event.detail
-    short = record(np.random.default_rng(53), seconds=5.0)
-    with pytest.raises(piga.CalibrationError, match="whole turns"):
-        piga.calibrate(short, ["scale_factor", "k0"], "revolutions")
 
 
 def pulled(beta: float, seed: int) -> piga.Run:
@@ -158,12 +146,6 @@ def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
     event = next(e for e in calibration.quality.events if e.kind == "near-lock")
     assert event.count == 1
     assert len(calibration.segments) == 3
-
-
-@pytest.mark.long
-def test_harmonics_are_refused() -> None:
-    with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
-        piga.calibrate(record(np.random.default_rng(56)), ["scale_factor", "k0", "s2", "c2"], "revolutions")
 
 
 # --- whole revolutions

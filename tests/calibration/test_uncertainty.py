@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
 import piga
-from piga.calibration.uncertainty import propagate, sources
+from piga.calibration.uncertainty import propagate
 from piga.errors import RunFileError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.records.distribution import Spread, shape_of, standard_uncertainty
@@ -113,18 +112,6 @@ def test_distributions_of_type_b() -> None:
             standard_uncertainty(bad, "ppm", "reference_scale")
 
 
-@pytest.mark.interpreted
-def test_result_carries_degrees_of_freedom() -> None:
-    """Twelve positions and five parameters have few."""
-    scenario = SCENARIOS["static"]
-    calibration = scenario.calibrate(scenario.record(np.random.default_rng(3)))
-    for coefficient in calibration.coefficients:
-        assert 4.0 < coefficient.degrees_of_freedom < 15.0
-        assert coefficient.expanded == pytest.approx(
-            coverage_factor(coefficient.degrees_of_freedom) * coefficient.std
-        )
-
-
 @pytest.mark.long
 def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
     """The price of plain whitening: up to four times wider than the bound, and never narrow."""
@@ -185,42 +172,6 @@ def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     assert coupling.interval[0] >= 0.0
     low, high = table["scale_factor"].symmetric
     assert high - low == pytest.approx(2.0 * calibration["scale_factor"].expanded, rel=0.05)
-
-
-@pytest.mark.long
-def test_near_the_separatrix_the_first_order_is_enough() -> None:
-    """With the angle as read the estimate stays linear there: Monte Carlo agrees, and sources hardly bend.
-
-    100 ug, 60 arcsec, 100 ppm: half the second difference of the moved estimates is below 1.5 % of the uncertainty.
-    """
-    scenario = SCENARIOS["near-critical"]
-    run = scenario.record(np.random.default_rng(1))
-    asked = replace(run, estimation=msgspec.structs.replace(run.estimation, uncertainty="monte-carlo"))
-    table = scenario.calibrate(asked).diagnostics.monte_carlo.coefficients
-    assert all(row.validated for key, row in table.items() if key != "phi")
-    assert not scenario.calibrate(run).diagnostics.monte_carlo
-    given = at_rest(
-        reference_bias="100 ug", reference_misalignment="60 arcsec", reference_scale="100 ppm", timing="10 ppm"
-    )
-    known = msgspec.structs.replace(
-        run.estimation, angle_rms="2.5e-5 rad", angle_random_walk="2e-5 rad/sqrt(s)", uncertainty="gum"
-    )
-    run = replace(run, uncertainty=given, estimation=known)
-    base = np.array([c.value for c in scenario.calibrate(run).coefficients])
-    std = np.array([c.std for c in scenario.calibrate(run).coefficients])
-
-    def moved(size: float) -> list[np.ndarray]:
-        plain = [
-            replace(
-                source.moved,
-                uncertainty=at_rest(),
-            )
-            for source in sources(run, size)
-        ]
-        return [np.array([c.value for c in scenario.calibrate(record).coefficients]) for record in plain]
-
-    bent = [0.5 * (up + down) - base for up, down in zip(moved(1.0), moved(-1.0), strict=True)]
-    assert (np.sqrt(np.sum(np.square(bent), axis=0)) < 0.015 * std).all()
 
 
 def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]], piga.Calibration]:

@@ -20,7 +20,7 @@ from piga.records.calibration import Amount
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable
 from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
-from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
+from tests.calibration.made.scenarios import Array, Scenario
 from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
 from tests.planning.cases import request
@@ -202,33 +202,6 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
 
 
 # --- other stands, refusals
-
-
-@pytest.mark.long
-def test_the_reference_of_each_level_of_a_centrifuge() -> None:
-    """Independent errors of eight levels: what each does to K when it alone is moved."""
-    arm = SCENARIOS["centrifuge"]
-    assert isinstance(arm, Scenario)
-    arm = replace(arm, seconds=2.0, rate=20.0, terms=("scale_factor", "k0"))
-    run = replace(
-        known_noise(arm.record(np.random.default_rng(3))),
-        uncertainty=at_rest(),
-    )
-
-    def scale(r: piga.Run) -> float:
-        return piga.calibrate(r, arm.terms)["scale_factor"].value
-
-    moved = [
-        replace(run, f=run.f * (1.0 + 20e-6 * (run.segment_index == s))[:, None])
-        for s in range(len(run.labels))
-    ]
-    expected = np.linalg.norm([scale(r) - scale(run) for r in moved])
-    told = replace(
-        run,
-        uncertainty=at_rest(reference_repeatability="20 ppm"),
-    )
-    result = rows(piga.calibrate(told, arm.terms))["reference_repeatability"]
-    assert 0.5 * expected < result.contributions["scale_factor"] < 1.001 * expected, "the weights know of it"
 
 
 @pytest.mark.long

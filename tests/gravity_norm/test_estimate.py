@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 import piga
 from piga.errors import ArgumentError, DataError, IdentifiabilityError
 from piga.gravity_norm import static_spells
-from piga.reports.gravity_norm import set_document
 from tests.gravity_norm.simulated import BIAS, LOWER, STEP, G, directions, record
 
 
@@ -119,17 +116,3 @@ def test_too_few_spells_and_wrong_shapes():
         piga.calibrate_set(t, outputs[:, :2], G)
     with pytest.raises(DataError, match="no noise at rest"):
         piga.calibrate_set(t, np.round(outputs / 1e4), G)
-
-
-def test_the_document_is_json_and_complete():
-    rng = np.random.default_rng(49)
-    cal = piga.calibrate_set(
-        *record(rng, directions(rng, 20)), G, serial="S", unit="LSB", names=("x", "y", "z")
-    )
-    document = json.loads(json.dumps(set_document(cal), allow_nan=False))
-    assert document["convention"] == "upper"
-    term = document["terms"]["scale_factor[y]"]
-    assert term["unit"] == "LSB/(m/s^2)"
-    assert term["expanded"] == pytest.approx(cal["scale_factor[y]"].expanded)
-    assert len(document["spells"]) == 20
-    assert "scale_factor[y]" in cal.summary()

@@ -8,7 +8,6 @@ import pytest
 from piga.errors import ArgumentError
 from piga.noise.deviations import (
     allan_deviation,
-    drift_line,
     equivalent_degrees,
     model_deviation,
 )
@@ -116,28 +115,6 @@ def test_uneven_sampling_is_read_on_an_even_grid():
     begins = np.zeros(t.size, dtype=bool)
     deviation = allan_deviation(0.3 * t + 1e-4 * t**2, t, begins, noise=NOISE)
     assert deviation.deviation[-1] == pytest.approx(np.sqrt(2.0) * 1e-4 * deviation.tau[-1], rel=1e-2)
-
-
-def test_random_walk_of_the_rate_has_the_slope_of_the_drift_line():
-    rng, level = np.random.default_rng(6), 1e-6
-    rate = np.cumsum(level * np.sqrt(STEP) * rng.standard_normal(60_000))
-    t, begins = one_stretch(rate.size)
-    deviation = allan_deviation(np.cumsum(rate) * STEP, t, begins, noise=NOISE)
-    middle = (deviation.tau > 1.0) & (deviation.tau < 30.0)
-    assert deviation.deviation[middle] == pytest.approx(drift_line(deviation.tau[middle], level), rel=0.25)
-
-
-FUNCTIONS = {"allan": "oadev", "modified": "mdev", "hadamard": "ohdev"}
-
-
-@pytest.mark.parametrize("kind", FUNCTIONS)
-def test_no_difference_of_a_long_record_is_left_out(kind: str):
-    x = angle(np.random.default_rng(7), 300_000, 1e-10, 1e-11)
-    t, begins = one_stretch(x.size)
-    deviation = allan_deviation(x, t, begins, noise=NOISE, kind=kind)
-    function = getattr(allantools, FUNCTIONS[kind])
-    _, reference, _, _ = function(x, rate=1.0 / STEP, data_type="phase", taus=deviation.tau[::4])
-    assert deviation.deviation[::4] == pytest.approx(reference, rel=1e-8)
 
 
 def nist_rates():

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga.calibration.model.reduction import BLOCK, Reduction
+from piga.calibration.model.reduction import Reduction
 from piga.errors import ArgumentError
 
 NIST = json.loads((Path(__file__).parents[2] / "data" / "nist-linear.json").read_text())
@@ -80,18 +80,6 @@ def test_split_and_order_do_not_matter(seed: int, sizes: list[int]) -> None:
     merged = Reduction.stacked([parts[index] for index in rng.permutation(len(parts))])
     np.testing.assert_allclose(merged.factor, whole.factor, rtol=1e-10, atol=1e-9)
     assert merged.count == whole.count
-
-
-def test_covariance_is_the_inverse_normal_matrix() -> None:
-    rng = np.random.default_rng(3)
-    size = 2 * BLOCK + 5
-    x, y = rng.standard_normal((size, 3)), rng.standard_normal(size)
-    total = Reduction.empty(("a", "b", "c"))
-    total.add(x, y)
-    estimate, covariance, rss = total.solve()
-    np.testing.assert_allclose(covariance, np.linalg.inv(x.T @ x), rtol=1e-11, atol=1e-18)
-    np.testing.assert_allclose(estimate, np.linalg.lstsq(x, y)[0], rtol=1e-11)
-    assert rss == pytest.approx(float(np.sum((y - x @ estimate) ** 2)), rel=1e-12)
 
 
 def rows_of(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Reduction]:

@@ -12,8 +12,7 @@ import pytest
 import piga
 from piga.calibration.model.request import make_request
 from piga.calibration.remarks import advice
-from piga.calibration.remarks.advice import with_advice
-from piga.errors import CalibrationError, PigaError
+from piga.errors import PigaError
 from tests.calibration.made.scenarios import SCENARIOS, Scenario
 from tests.calibration.made.synthetic_terms import TERMS, around
 
@@ -191,12 +190,6 @@ def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(go
     assert calibration.notes[0] == calibration.diagnostics.advice[0]
 
 
-@pytest.mark.long
-def test_a_good_record_is_not_even_tried(good, monkeypatch):
-    monkeypatch.setattr("piga.calibration.remarks.advice._trials", None)
-    assert not piga.calibrate(good, TERMS).diagnostics.advice
-
-
 @pytest.mark.parametrize("name", ["static", "centrifuge", "near-critical"])
 def test_a_good_record_gets_no_advice_when_it_is_tried(name):
     scenario = SCENARIOS[name]
@@ -206,12 +199,3 @@ def test_a_good_record_gets_no_advice_when_it_is_tried(name):
 def test_a_missing_term_is_no_wrong_axis(good):
     assert advised(good, ("scale_factor", "tan_beta")) == ""
     assert advised(good, ("scale_factor", "k0")) == ""
-
-
-def test_advice_goes_behind_the_remedy_of_an_error() -> None:
-    error = with_advice(
-        CalibrationError("no result", remedy="change this"), ("swap Y0 and Z0", "halve the unit")
-    )
-    assert error.message == "no result"
-    assert error.remedy == "change this; or swap Y0 and Z0; or halve the unit"
-    assert with_advice(CalibrationError("no result", remedy="change this"), ()).remedy == "change this"

@@ -105,12 +105,3 @@ def test_one_segment_has_no_leverage():
         run.t[keep], run.output[keep], run.f[keep], scale_factor=run.scale_factor, units="SI"
     )
     assert not piga.calibrate(alone, ["k1"]).diagnostics.leverage
-
-
-@pytest.mark.long
-def test_a_bias_drift_leaves_the_leverage_of_each_segment():
-    scenario = SCENARIOS["drift"]
-    calibration = scenario.calibrate(scenario.record(np.random.default_rng(0)))
-    table = calibration.diagnostics.leverage
-    assert sum(row.leverage for row in table.values()) == pytest.approx(6.0, rel=1e-6)
-    assert not any("alone" in note for note in calibration.notes)

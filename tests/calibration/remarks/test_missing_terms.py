@@ -65,13 +65,6 @@ def test_the_coupling_is_missed_too():
 
 
 @pytest.mark.long
-def test_a_phase_per_segment_hides_no_missing_term():
-    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k_XY", 2e-4)
-    calibration = piga.calibrate(run, TERMS, phases="per-segment")
-    assert calibration.diagnostics.missing_terms[0].terms == ("k_XY",)
-
-
-@pytest.mark.long
 def test_two_missing_terms_are_both_found():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     calibration = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
