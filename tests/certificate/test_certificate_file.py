@@ -209,25 +209,15 @@ def test_what_stands_on_it(cal):
     text = plain(html)
     for item in (
         "Calibration certificate 2026-0117-PIGA",
-        "Example Inertial Metrology Laboratory 12 Meridian Road 40960 Greenfield, GB",
-        "Example Navigation Ltd, 3 Harbour Street, 40100 Seaport, GB",
         "Serial number G-0417",
-        "Received 2026-02-27",
         "2026-03-03 to 2026-03-04, in the laboratory",
-        "relate only to the item",
-        "except in full",
-        "Dividing head DH-3",
         "20.3 °C",
         "Local gravity 9.80166 m/s² 2 × 10⁻⁶ m/s²",
-        "k of Student's t for the effective degrees of freedom",
         "1600.2 2.2 µg 0.13 % ∞ 1.96",
         "0.8885092 0.0000027 rad/s/g",
-        "Dr A. Example Head of the laboratory, authorises this certificate",
         "SHA-256 of calibration.json " + "ab" * 32,
-        "End of certificate 2026-0117-PIGA",
     ):
         assert item in text, item
-    assert "ecalibrat" not in text.split("Statements")[1]
     assert html == certificate_html(complete(), cal, record_sha256="ab" * 32)
     assert "<script" not in html
     assert "http" not in html.replace("http-equiv", "")

@@ -272,9 +272,7 @@ def test_numbers_come_back_to_the_bit(value, units):
         (b"piga_calibrationRecord", b"other", "no calibration record"),
         (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
         (b"scale_factor tan_beta phi", b"scale_factor phi tan_beta", "labelXMLList is"),
-        (b"<si:unitXMLList>\\metre", b"<si:unitXMLList>\\kilometre", "unitXMLList is"),
         (b"<si:valueXMLList>", b"<si:valueXMLList>1 ", "valueXMLList is"),
-        (b"<si:valueXMLList>0", b"<si:valueXMLList>x0", "valueXMLList is"),
         (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "valueStandardMUXMLList is"),
         (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "has 7 parts, not 6"),
     ],
@@ -331,23 +329,12 @@ ALTERED = [
     (f"{real_of('k2')}/si:label", "k3", "label of k3 is 'k3', by the attached records 'k2'"),
     (f"{real_of('m_Y')}/si:unit", r"\one", "unit of m_Y is"),
     (f"{real_of('m_Y')}//si:valueExpandedMU", "2.6E-6", "valueExpandedMU of m_Y is"),
-    (f"{real_of('m_Y')}//si:coverageFactor", "1.644854", "coverageFactor of m_Y is"),
-    (f"{real_of('m_Y')}//si:distribution", "uniform", "distribution of m_Y is"),
-    (f"{real_of('m_Y')}/si:significantDigit", "-9", "significantDigit of m_Y is"),
     (f"{real_of('k0')}//si:intervalMin", "0.01569", "intervalMin of k0 is"),
-    (f"{real_of('k0')}//si:valueStandardMU", "1.0E-6", "valueStandardMU of k0 is"),
-    (f"{real_of('k0', 'basic_beforeAdjustment')}/si:unit", r"\metre", "unit of k0 is"),
     (f"{real_of('k0')}/../dcc:name/dcc:content", "Second-order coefficient", "content of k0 is"),
-    (".//si:coverageFactorXMLList", "2.000000", "coverageFactorXMLList is"),
     (".//dcc:item/dcc:identifications/dcc:identification/dcc:value", "G-0418", "identification/value is 'G-0418'"),
-    (".//dcc:itemQuantity/si:real/si:value", "0.0906", "itemQuantity/real/value is"),
     (f"{CORE}issueDate", "2025-03-09", "issueDate is '2025-03-09', by the attached records '2026-03-09'"),
-    (f"{CORE}reportAmendedSubstituted/dcc:replacedUniqueIdentifier", "old 2", "replacedUniqueIdentifier is"),
-    (".//dcc:usedSoftware/dcc:software/dcc:release", "v9.9.9", "software/release is"),
     (f"{real_of('m_Y')}/../dcc:measurementMetaData//dcc:conformity", "fail", "conformity of m_Y is 'fail'"),
-    (".//dcc:statement/dcc:conformity", "fail", "statement/conformity is"),
     (".//dcc:statement/dcc:data/dcc:quantity/si:real/si:value", "-98.0", "quantity/real/value is"),
-    (".//dcc:influenceCondition/dcc:data/dcc:quantity/dcc:name/dcc:content", "Humidity", "name/content is"),
 ]  # fmt: skip
 
 
@@ -403,8 +390,6 @@ def sentence(root, title):
     [
         ("Range", "9.8 m", "98 m"),
         ("Conformity", "Overall: conforms", "Overall: does not conform"),
-        ("Adjustment", "was adjusted", "was not adjusted"),
-        ("Method", "exclusions from the method: ", "exclusions from the method: many, "),
         ("Amendment", "certificate old 1", "certificate old 2"),
     ],
 )
@@ -421,7 +406,6 @@ def test_an_altered_sentence_is_found(stated, title, old, new):
     ("old", "new", "words"),
     [
         (b"<dcc:results>", b"<dcc:results><dcc:result><dcc:name/><dcc:data/></dcc:result>", "parts, not"),
-        (b"<dcc:measurementResults>", b"<dcc:measurementResults><dcc:measurementResult/>", "parts, not"),
         (
             b"</dcc:measurementResults>",
             b"</dcc:measurementResults><dcc:comment>k0 is 3 mg</dcc:comment>",
@@ -430,7 +414,6 @@ def test_an_altered_sentence_is_found(stated, title, old, new):
         (b"</dcc:coreData>", b"<dcc:issueDate>2026-03-10</dcc:issueDate></dcc:coreData>", "parts, not"),
         (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "text beside its parts"),
         (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "comments"),
-        (b"<si:label>k2<", b"<si:label>k2<?x y?><", "comments or instructions"),
         (b"<si:label>k2<", b"<si:label value='3'>k2<", "stands where"),
         (b"basic_measuredValue", b"basic_otherValue", "stands where"),
     ],

@@ -17,20 +17,6 @@ from tests.cli.runner import invoked
 from tests.records.containers import columns, write_xlsx
 from tests.records.files import events, lines, psi_steps, write_log, write_run
 
-RUN = """\
-[instrument]
-serial = "T-1"
-scale_factor = "0.8884 rad/s/g"
-counts_per_revolution = 72000
-[data]
-file = "run.csv"
-time = { column = "t", unit = "s" }
-output = { column = "n", kind = "counts" }
-reference = { columns = ["fx", "fy", "fz"], unit = "g" }
-[model]
-terms = ["scale_factor", "k0"]
-"""
-
 
 def suggested(path: Path) -> list[tuple[str, str]]:
     """Table and line of each suggestion."""
@@ -97,11 +83,10 @@ def test_convert_keeps_base_rate_and_temperature(tmp_path: Path, kind: str) -> N
         for a, b in zip(t, output, strict=True)
     ]
     write_log(tmp_path, rows, header="t,n,fx,fy,fz,wx,wy,wz,temp")
-    text = RUN.replace('kind = "counts"', f'kind = "{kind}", unit = "{unit}"').replace(
-        "[model]",
-        'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/s" }\ntemperature = { column = "temp", unit = "degC" }\n[model]',
-    )
-    (tmp_path / "run.toml").write_text(text)
+    columns = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "deg/s" }\ntemperature = { column = "temp", unit = "degC" }'
+    path = write_run(tmp_path, data=columns)
+    text = path.read_text().replace('kind = "counts"', f'kind = "{kind}", unit = "{unit}"')
+    path.write_text(text)
     done = invoked("convert", tmp_path / "run.toml", "--out", tmp_path / "clean.parquet")
     assert done.exit_code == 0, done.exception
     (tmp_path / "clean.toml").write_text(

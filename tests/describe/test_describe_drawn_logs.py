@@ -46,21 +46,3 @@ def test_counts_that_are_no_usual_number_are_asked_for(tmp_path: Path) -> None:
         asked = [one.key for one in draft.open]
         assert ("instrument.counts_per_revolution" in asked) != kept
         assert kept or "not a usual number" in draft.text()
-
-
-def test_a_folded_counter_that_falls_is_turned_round(tmp_path: Path) -> None:
-    """It folds every fourth row."""
-    log = drawn(484, tmp_path)
-    assert "arm, folded, falling" in log.what
-    draft = draft_run_file(describe_log(tmp_path / log.name), {"instrument.scale_factor": "0.8884 rad/s/g"})
-    assert draft.document["data"]["output"]["direction"] == -1
-
-
-@pytest.mark.parametrize("seed", [117, 205, 210, 216, 238])
-def test_columns_of_a_drawn_log_are_told(tmp_path: Path, seed: int) -> None:
-    """Names and units over two rows, decimal commas that look like separators, and a counter that folds each fifth row."""
-    log = drawn(seed, tmp_path)
-    draft = draft_run_file(describe_log(tmp_path / log.name), {"instrument.scale_factor": "0.8884 rad/s/g"})
-    asked = {one.key for one in draft.open}
-    assert not asked & {"data.reference", "data.output", "data.sample_rate"}
-    assert ("counter_bits" in draft.document["instrument"]) == ("folded" in log.what)

@@ -16,23 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.records.files import write_run
+
 HEADER = "t,n,fx,fy,fz"
 ROWS = 40
-RUN = """\
-[instrument]
-serial = "D-1"
-scale_factor = "0.8884 rad/s/g"
-counts_per_revolution = 72000
-{instrument}
-[data]
-file = "{file}"
-time = {{ column = "{t}", unit = "s" }}
-output = {{ column = "{n}", kind = "counts" }}
-reference = {{ columns = ["fx", "fy", "fz"], unit = "g" }}
-{data}
-[model]
-terms = ["scale_factor", "k0"]
-"""
 
 
 @dataclass(frozen=True)
@@ -59,8 +46,8 @@ class Case:
         (folder / self.file).write_bytes(self.content)
         if self.sidecar:
             (folder / (self.file + ".sha256")).write_text(self.sidecar)
-        run = folder / "run.toml"
-        text = RUN.format(file=self.file, instrument=self.instrument, data=self.data, t=self.t, n=self.n)
+        run = write_run(folder, self.file, instrument=self.instrument, data=self.data)
+        text = run.read_text(encoding="utf-8").replace('"t"', f'"{self.t}"').replace('"n"', f'"{self.n}"')
         run.write_text(text, encoding="utf-8")
         return run
 

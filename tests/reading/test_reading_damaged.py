@@ -58,7 +58,7 @@ def ends(capsys: Capture, run: Path) -> dict[str, object]:
     out.mkdir(exist_ok=True)
     for stale in out.iterdir():
         stale.unlink()
-    calibration_of({"scale_factor": K_G}, serial="D-1").to_json(run.parent / "cal.json")
+    calibration_of({"scale_factor": K_G}, serial="T-1").to_json(run.parent / "cal.json")
     words: dict[str, tuple[object, ...]] = {
         "check": (run, "--json"),
         "calibrate": (run, "--terms", "scale_factor", "--json", "--no-report", "--out", out),

@@ -69,20 +69,17 @@ def test_a_line_without_end(tmp_path: Path) -> None:
         read(tmp_path, HEADER + ROWS + b"1" * (40 << 20) + b"\n")
 
 
-@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
-@pytest.mark.parametrize("units", [False, True])
-def test_a_file_of_four_thousand_columns(tmp_path: Path, end: bytes, units: bool) -> None:
+def test_a_file_of_four_thousand_columns(tmp_path: Path) -> None:
     """Header and first row are longer than the 64 KiB that are looked at first."""
     more = 4000
     names = HEADER.rstrip() + b"".join(b",channel_number_%05d" % i for i in range(more))
     rows = [line.encode() + b",0.123456789012" * more for line in lines()]
-    unit_row = [b"s,,g,g,g" + b",V" * more] if units else []
-    run = read(tmp_path, end.join([names, *unit_row, *rows, b""]))
+    run = read(tmp_path, b"\n".join([names, *rows, b""]))
     (tmp_path / "plain").mkdir()
     plain = read(tmp_path / "plain", HEADER + ROWS)
     np.testing.assert_array_equal(run.t, plain.t)
     np.testing.assert_array_equal(run.output, plain.output)
-    np.testing.assert_array_equal(run.row, plain.row + units)
+    np.testing.assert_array_equal(run.row, plain.row)
 
 
 def test_comments_longer_than_what_is_looked_at_first(tmp_path: Path) -> None:

@@ -225,16 +225,3 @@ def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(cal, tmp_path
     page = certificate_html(complete(), cal)
     assert "Shortest 95 % interval by Monte Carlo" in page
     assert "coverage_factor" not in next(c for c in to_document(cal)["coefficients"] if c["name"] == "k0")
-
-
-def test_old_files_are_read(cal, tmp_path):
-    """piga 0.1 called rows less coefficients degrees_of_freedom."""
-    document = json.loads(calibration_to_bytes(cal))
-    document["degrees_of_freedom"] = document.pop("surplus_observations")
-    path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(document))
-    back = Calibration.from_json(path)
-    assert back.surplus_observations == cal.surplus_observations
-    assert [(c.limits, c.coverage_factor) for c in back.coefficients] == [
-        (c.limits, c.coverage_factor) for c in cal.coefficients
-    ]
