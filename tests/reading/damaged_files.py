@@ -71,8 +71,8 @@ def cell(at: int, column: int, value: str) -> bytes:
     return text(body)
 
 
-def changed(change: Callable[[list[list[str]]], object], number: int = ROWS) -> bytes:
-    body = rows(number)
+def changed(change: Callable[[list[list[str]]], object]) -> bytes:
+    body = rows()
     change(body)
     return text(body)
 
