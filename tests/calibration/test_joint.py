@@ -25,7 +25,7 @@ def runs() -> list[piga.Run]:
 
 @pytest.fixture(scope="module")
 def together(runs: list[piga.Run]) -> piga.Calibration:
-    return piga.calibrate(runs, TERMS)
+    return piga.calibrate(runs, TERMS, per_run=[])
 
 
 def test_two_runs_separate_what_one_cannot(runs: list[piga.Run], together: piga.Calibration) -> None:
@@ -48,7 +48,7 @@ def test_truth_within_uncertainty_over_repeats() -> None:
     squares = []
     for seed in range(6):
         runs, truth = joint_test(np.random.default_rng([seed, 5]), seconds=10.0)
-        calibration = piga.calibrate(runs, TERMS)
+        calibration = piga.calibrate(runs, TERMS, per_run=[])
         z = scores(calibration, truth)
         error = np.array([z[c.key] * c.std for c in calibration.coefficients])
         squares.append(error @ np.linalg.solve(calibration.covariance, error))
@@ -65,7 +65,7 @@ def test_joint_of_split_record_is_the_record() -> None:
     part = whole.segment_index < 6
     halves = [_rows(whole, part), _rows(whole, ~part)]
     terms = ["scale_factor", "tan_beta", "k0", "m_Y"]
-    split = piga.calibrate(halves, terms, phases="per-segment")
+    split = piga.calibrate(halves, terms, phases="per-segment", per_run=[])
     once = piga.calibrate(whole, terms, phases="per-segment")
     for name in terms:
         assert split[name].value == pytest.approx(once[name].value, abs=1e-5 * once[name].std)
@@ -92,7 +92,7 @@ def test_two_runs_that_cannot_separate_terms_either(runs: list[piga.Run]) -> Non
 
 
 def test_every_segment_with_its_own_phase(runs: list[piga.Run], together: piga.Calibration) -> None:
-    calibration = piga.calibrate(runs, TERMS, phases="per-segment")
+    calibration = piga.calibrate(runs, TERMS, phases="per-segment", per_run=[])
     assert calibration["phi[run 2:3]"].std < 0.5
     for name in TERMS:
         assert calibration[name].value == pytest.approx(together[name].value, abs=3.0 * calibration[name].std)

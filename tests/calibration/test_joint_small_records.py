@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import msgspec
 import numpy as np
 import pytest
 
@@ -39,7 +40,7 @@ def runs(made: tuple[list[piga.Run], dict[str, float]]) -> list[piga.Run]:
 
 @pytest.fixture(scope="module")
 def joint(runs: list[piga.Run]) -> piga.Calibration:
-    return piga.calibrate(runs, TERMS)
+    return piga.calibrate(runs, TERMS, per_run=[])
 
 
 def test_two_small_runs_together(
@@ -86,6 +87,42 @@ def test_a_summary_for_the_raw_data(runs: list[piga.Run], tmp_path: Path) -> Non
     assert [run.raw for run in merged.runs] == [True, False]
     assert any("is a summary" in remark for remark in merged.remarks)
     assert merged.segments[-1].label.startswith("spun:")
+
+
+@pytest.mark.parametrize(
+    ("in_file", "argument", "own"),
+    [
+        (None, None, ["k0[run 1]", "k0[spun]"]),
+        ((), None, ["k0"]),
+        (("k2",), None, ["k0", "k2[run 1]", "k2[spun]"]),
+        (("k2",), ["k0"], ["k0[run 1]", "k0[spun]"]),
+        (None, [], ["k0"]),
+    ],
+)
+def test_each_run_has_its_own_bias_unless_asked_otherwise(
+    runs: list[piga.Run], in_file: tuple[str, ...] | None, argument: list[str] | None, own: list[str]
+) -> None:
+    given = [replace(run, estimation=msgspec.structs.replace(run.estimation, per_run=in_file)) for run in runs]
+    result = piga.calibrate(given, FEW, per_run=argument)
+    keys = [c.key for c in result.coefficients]
+    assert [key for key in keys if key.startswith("k0") or "[" in key] == own
+    summaries = [RunSummary.of(run, FEW) for run in given]
+    merged = piga.calibrate([runs[0], summaries[1]], FEW, per_run=argument)
+    assert in_file is not None or [c.key for c in merged.coefficients] == keys
+
+
+def test_a_run_of_one_position_shares_the_bias(runs: list[piga.Run]) -> None:
+    one = runs[1].without(runs[1].segment_index != 0)
+    assert "k0" in [c.key for c in piga.calibrate([runs[0], one], ["scale_factor", "k0"]).coefficients]
+
+
+def test_runs_that_cannot_tell_their_biases_are_told_to_share_one(runs: list[piga.Run]) -> None:
+    """Two halves of a spun run at one level each: K and two biases from two levels."""
+    spun = replace(runs[1], input_sha256={})
+    halves = [spun.without(spun.segment_index != part) for part in (0, 1)]
+    assert len(piga.calibrate(halves, ["scale_factor", "k0"]).coefficients) == 2
+    with pytest.raises(piga.IdentifiabilityError, match=r"leave it out of per_run"):
+        piga.calibrate(halves, ["scale_factor", "k0"], per_run=["k0"])
 
 
 @pytest.mark.long

@@ -173,7 +173,7 @@ def joint_runs():
 def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
     runs = joint_runs()
     terms = ["scale_factor", "tan_beta", "k0", "k2", "k3", "m_Y", "servo", "servo_damping"]
-    calibration = calibrate(runs, terms)
+    calibration = calibrate(runs, terms, per_run=[])
     check(
         calibration,
         TRUTH | {"k3": 0.0},
@@ -188,7 +188,7 @@ def test_head_and_centrifuge_together_separate_what_neither_can(tmp_path):
     )
     stored = RunSummary.of(runs[0], terms, name="head")
     stored.to_json(tmp_path / "head.json")
-    again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms)
+    again = calibrate([RunSummary.from_json(tmp_path / "head.json"), runs[1]], terms, per_run=[])
     for name in ("scale_factor", "tan_beta", "servo", "servo_damping", "k3"):
         assert again[name].value == pytest.approx(calibration[name].value, rel=1e-9, abs=1e-12)
         assert again[name].std == pytest.approx(calibration[name].std, rel=1e-6)

@@ -46,8 +46,8 @@ def calibrate(
         The record, from :func:`piga.read_run` or :meth:`piga.Run.from_arrays`; or a list of records and
         :class:`piga.calibration.RunSummary` of one instrument, calibrated jointly.
     terms, method, phases, phase_source, per_run:
-        Replace the settings of the run files. ``per_run`` names terms that may differ between the runs. Terms are a list or
-        one text, ``"scale_factor, tan_beta, k0"``.
+        Replace the settings of the run files. ``per_run`` names terms with a value of their own in each
+        run; by default k0, ``[]`` for none. Terms are a list or one text, ``"scale_factor, tan_beta, k0"``.
     progress:
         Called as ``progress(done, total, what)`` before each step; it returns False to stop (:mod:`piga.progress`).
 

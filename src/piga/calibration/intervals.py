@@ -192,8 +192,11 @@ def sandwich(
     variance = P[:, at, at]
     weight = np.maximum(variance + _SHARE * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
     trace = (weight * variance).sum(axis=1)
-    u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
-    degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
+    with np.errstate(
+        invalid="ignore", divide="ignore"
+    ):  # nan where as few runs as coefficients leave no scatter
+        u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
+        degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
     return u, degrees
 
 

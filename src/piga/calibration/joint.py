@@ -46,6 +46,8 @@ _SAME_SERVO = 0.02
 """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 
 
+BIAS = "k0"
+"""Term that each run has of its own unless asked otherwise."""
 _SERVO_SOURCE = "servo "
 """Prefix of the names of sources that belong to the instrument."""
 _COMMON_TO_ALL_STANDS = ("gravity",)
@@ -336,10 +338,24 @@ def _wish(
         own = [tuple(terms)] * len(items)
     union = tuple(dict.fromkeys(name for names in own for name in names))
     check_terms(union, where="terms of all runs together", output=items[0].unit)
-    asked = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
-    free = tuple(per_run) if per_run is not None else tuple(dict.fromkeys(n for names in asked for n in names))
+    free = _own_terms(items, own) if per_run is None else tuple(per_run)
     check_per_run(free, union)
     return Wish(union, free, tuple(own))
+
+
+def _own_terms(items: Sequence[Run | RunSummary], own: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Terms with a value in each run: those that the run files name. Where none names any, the bias.
+
+    A bias changes from one power-up to the next. Shared, its change would widen the intervals of all other terms. A run of
+    one position cannot tell its bias alone; then all runs share it.
+    """
+    given = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
+    asked = [names for names in given if names is not None]
+    if asked:
+        return tuple(dict.fromkeys(name for names in asked for name in names))
+    counts = [len(item.segments if isinstance(item, RunSummary) else item.labels) for item in items]
+    with_bias = [count for count, names in zip(counts, own, strict=True) if BIAS in names]
+    return (BIAS,) if with_bias and min(with_bias) > 1 else ()
 
 
 def _names(items: Sequence[Run | RunSummary]) -> list[str]:

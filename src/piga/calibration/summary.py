@@ -109,7 +109,7 @@ class RunSummary(Result):
     scale_factor: float
     kind: str
     terms: tuple[str, ...]
-    per_run: tuple[str, ...]
+    per_run: tuple[str, ...] | None
     phases: str
     temperature_reference: float
     time_reference: float

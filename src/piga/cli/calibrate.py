@@ -48,7 +48,10 @@ def calibrate(
     phases: PhasesOption = None,
     phase_source: PhaseSourceOption = None,
     per_run: Annotated[
-        str | None, option("--per-run", "A,B,...", "Terms with a value of their own in each run.")
+        str | None,
+        option(
+            "--per-run", "A,B,...", "Terms with a value of their own in each run [default: k0]; '' for none."
+        ),
     ] = None,
     compare: Annotated[
         str | None,

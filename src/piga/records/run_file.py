@@ -317,11 +317,11 @@ class ModelTable(TomlTable, frozen=True):
 class EstimationTable(TomlTable, frozen=True):
     """``[estimation]``: the method and known noise levels.
 
-    ``per_run`` names the terms that may differ between the runs of a joint calibration.
+    ``per_run`` names the terms that may differ between the runs of a joint calibration; None: the bias.
     """
 
     method: Method = "information"
-    per_run: tuple[str, ...] = ()
+    per_run: tuple[str, ...] | None = None
     angle_rms: Quantity | None = None
     angle_random_walk: Quantity | None = None
     uncertainty: Literal["gum", "monte-carlo", "auto"] = "auto"

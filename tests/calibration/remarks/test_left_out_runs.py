@@ -102,7 +102,7 @@ def test_head_and_centrifuge_tell_what_the_model_lacks():
         noisy(head(8), "head", seconds=8.0),
         noisy(levels(), "arm", turn=0.9, seconds=4.0, step=0.02),
     ]
-    calibration = calibrate(runs, PLAIN)
+    calibration = calibrate(runs, PLAIN, per_run=[])
     source = "servo terms that the model lacks"
     assert not is_of_reference(source)
     for name in ("scale_factor", "tan_beta", "k0"):

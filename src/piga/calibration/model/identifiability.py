@@ -169,9 +169,10 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
         listed = ", ".join(sorted(examination.null_terms))
         verb = "cannot determine" if len(examination.null_terms) == 1 else "cannot separate"
         subject = "this record" if runs == 1 else f"these {runs} runs together"
-        raise IdentifiabilityError(
-            f"{subject} {verb} {listed}", remedy=_remedy(terms, asked, runs), terms=examination.null_terms
-        )
+        remedy = _remedy(terms, asked, runs)
+        if any("[" in name and not name.startswith("phi") for name in examination.null_terms):
+            remedy += "; or let the runs share a term: leave it out of per_run ([] for none)"
+        raise IdentifiabilityError(f"{subject} {verb} {listed}", remedy=remedy, terms=examination.null_terms)
 
 
 def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:

@@ -32,7 +32,7 @@ class Request:
     angle_rms: float | None
     angle_random_walk: float | None
     temperature_reference: float
-    per_run: tuple[str, ...] = ()
+    per_run: tuple[str, ...] | None = None
 
     @property
     def harmonics(self) -> tuple[int, ...]:
@@ -82,7 +82,7 @@ def make_request(
         angle_rms=None if estimation.angle_rms is None else level_in(estimation.angle_rms, count),
         angle_random_walk=None if walk is None else level_in(walk, f"{count}/sqrt(s)"),
         temperature_reference=to_si(model.temperature_reference, "K"),
-        per_run=tuple(per_run) if per_run is not None else estimation.per_run,
+        per_run=estimation.per_run if per_run is None else tuple(per_run),
     )
     if request.method == "published":
         raise ArgumentError(
@@ -97,7 +97,7 @@ def make_request(
         if value not in allowed:
             raise ArgumentError(f"{name}: '{value}' is not known", remedy=f"one of: {', '.join(allowed)}")
     check_terms(request.terms, output=run.unit)
-    check_per_run(request.per_run, request.terms)
+    check_per_run(request.per_run or (), request.terms)
     _check_record(run, request)
     return request
 
