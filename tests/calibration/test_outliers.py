@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.outliers import Misses, errors_of_readings, leave_out, limit
+from piga.calibration.outliers import limit
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
@@ -118,42 +118,6 @@ def test_coarse_counts_are_no_outliers(count: float) -> None:
 def test_missing_terms_are_no_outliers() -> None:
     run = record(np.random.default_rng(38), white=1e-7)
     assert piga.calibrate(run, ["scale_factor"]).outliers == ()
-
-
-def test_errors_of_readings_come_back() -> None:
-    """Two jumps, spikes within and at the ends of stretches, a stretch without a good reading; residual angle linear in time."""
-    rng, size = np.random.default_rng(7), 400
-    begins, flags = np.isin(np.arange(size), (0, 120, 200, 203)), np.zeros(size, dtype=np.int8)
-    wrong = np.zeros(size)
-    flags[60], flags[150] = 2, 2
-    wrong[60:] += 0.3
-    wrong[150:] -= 1.2
-    bad = [0, 1, 30, 59, 61, 119, 120, 160, 399]
-    flags[bad] = 1
-    wrong[bad] += rng.standard_normal(len(bad))
-    flags[200:203] = 1
-    d = np.where(begins, 5.0, np.diff(wrong, prepend=0.0))
-    expected = np.where((np.arange(size) >= 200) & (np.arange(size) < 203), wrong[202], wrong)
-    edge = np.isin(np.arange(size), (0, 1, 119, 120, 399, 200, 201, 202))
-    result = errors_of_readings(d, begins, flags, np.zeros(0, dtype=np.int64))
-    np.testing.assert_allclose(result[~edge], expected[~edge], atol=1e-12)
-    np.testing.assert_allclose(result[[119, 399]], wrong[[119, 399]], atol=1e-12)
-    free = errors_of_readings(d, begins, flags, np.array([0, 200]))
-    np.testing.assert_allclose(free[210:398], 0.0, atol=1e-12)
-
-
-def test_the_first_good_reading_begins_the_stretch() -> None:
-    begins, flags = np.isin(np.arange(12), (0, 5)), np.zeros(12, dtype=np.int8)
-    flags[[0, 5, 6]] = 1
-    run = piga.Run.from_arrays(
-        0.1 * np.arange(12), np.arange(12.0), np.ones((12, 3)), scale_factor=SCALE, units="SI"
-    )
-    run = replace(run, begins=begins)
-    cleaned, outliers = leave_out(run, Misses(np.zeros(12), np.full(12, 0.1), point=False), flags, free=False)
-    assert np.flatnonzero(cleaned.begins).tolist() == [0, 1, 5, 7]
-    assert np.flatnonzero(cleaned.left_out).tolist() == [0, 5, 6]
-    assert [outlier.samples for outlier in outliers] == [1, 2]
-    assert cleaned.quality.masked - run.quality.masked == 3
 
 
 @pytest.mark.long

@@ -12,10 +12,9 @@ import pytest
 import piga
 from piga._kernels.compensation.data import TERMS
 from piga.calibration.orders import order_spectrum
-from piga.compensation import FLAGS, Mounted, Phase, SetCompensator, compensate_set
+from piga.compensation import FLAGS, Phase
 from piga.reports.compensation import compensation_errors, error_figures
 from piga.units import G0
-from tests.compensation.triads import made, orthogonal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
@@ -153,28 +152,6 @@ def test_error_model_is_integrated_over_the_slope():
     assert np.abs(compensated.ax[2:] - mean_force(ramps(t))[1:]).max() < TOLERANCE_ERRORS * G0
 
 
-@pytest.mark.interpreted
-def test_harmonics_at_samples_of_angle_and_rate():
-    """Rates written down from the model, with orders 1 to 3."""
-    t = np.arange(50) * 0.01
-    alpha = PHI + 0.9 * t + 0.2 * np.sin(5.0 * t)
-    values = {"s1": 1e-4, "c1": -2e-4, "s2": 3e-4, "c2": 1e-4, "s3": -1e-4, "c3": 2e-4}
-    ripple = sum(v * (np.sin if k[0] == "s" else np.cos)(int(k[1]) * alpha) for k, v in values.items())
-    f = ramps(t)
-    coupled = f[:, 0] + TAN_BETA * (f[:, 1] * np.sin(alpha) - f[:, 2] * np.cos(alpha)) + ripple * G0
-    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI, **values})
-    rate, psi = K_G / G0 * coupled, alpha - PHI
-    single = piga.Compensator(cal, kind="rate").push({"t": t, "output": rate, "f": f, "angle": psi})
-    assert np.abs(single.ax - f[:, 0]).max() < 1e-13 * G0
-    axes = orthogonal()
-    rates = []
-    for matrix in axes:
-        x, y, z = (f @ matrix.T).T
-        rates.append(K_G / G0 * (x + TAN_BETA * (y * np.sin(alpha) - z * np.cos(alpha)) + ripple * G0))
-    stream = SetCompensator([Mounted(cal, matrix) for matrix in axes], sampled=True)
-    assert np.abs(stream.push(t, np.tile(psi, (3, 1)), rate=rates).f - f).max() < 1e-12 * G0
-
-
 def test_no_line_is_left_at_the_revolution_orders():
     """Before: 1000 arcsec times 1 g at order 1; after: below three times white noise everywhere."""
     t = np.arange(0.0, 120.0, 0.05)
@@ -309,9 +286,3 @@ def test_locked_start_is_named(kind):
             first = 2 if kind == "angle" else 1
             assert f"rows {first} to 100:" in compensated.notes[1]
             assert compensated.flagged("locked")[first - 1 : 100].all()
-
-
-def test_locked_start_of_a_set_is_named():
-    t = np.arange(0.0, 1.0, 0.01)
-    runs, mounted = made(t, np.tile(np.array([1.0, 1e-4, 1.0]) * G0, (t.size, 1)), orthogonal())
-    assert "rows 2 to 100" in compensate_set(runs, mounted).notes[1]

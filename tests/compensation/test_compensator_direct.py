@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.compensation import Compensator, Mounted, SetCompensator, identify_phase
+from piga.compensation import Mounted, identify_phase
 from piga.compensation.model import FLAGS
 from tests.calibration.direct import G, Tumble
 from tests.cli.runner import exit_code
@@ -99,17 +99,6 @@ def test_what_needs_a_gimbal_is_refused(tmp_path: Path) -> None:
         own.instrument()
 
 
-def test_a_stream_gives_what_the_record_gives(tmp_path: Path) -> None:
-    run = piga.read_run(Tumble().write(tmp_path, "rate", "mA", "0.6 mA/g"))
-    whole = piga.compensate(run, given("mA", 0.6))
-    stream = Compensator(given("mA", 0.6), kind="rate", step=run.median_step)
-    parts = [
-        stream.push({"t": run.t[k : k + 7], "output": run.output[k : k + 7], "f": run.f[k : k + 7]}).ax
-        for k in range(0, 700, 7)
-    ]
-    assert np.array_equal(np.concatenate(parts), whole.ax[:700])
-
-
 AXES = [
     np.roll(np.eye(3), -i, axis=0) @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     for i in range(3)
@@ -158,19 +147,3 @@ def test_a_gyro_accelerometer_and_direct_ones_make_a_set() -> None:
     assert (
         np.abs(result.u_f[:, 0]).max() < 3e-6 * G
     )  # that of the direct ones; the first sample of rates has one, too
-
-
-def test_a_set_without_uncertainties_has_none() -> None:
-    t = 0.01 * np.arange(20)
-    force = np.stack((1.0 + 0.0 * t, 0.3 * t, 0.0 * t), axis=1)
-    runs, mounted = members(t, force)
-    sure = [
-        Mounted(given(item.calibration.unit.split("/")[0], K), item.axes)
-        for item, K in zip(mounted, SCALES.values(), strict=True)
-    ]
-    assert piga.compensate_set(runs, sure).u_f.max() < 1e-8
-    stream = SetCompensator(mounted, sampled=True)
-    output = np.array([run.output for run in runs])
-    u = stream.push(t, np.zeros_like(output), rate=output).u_f
-    assert np.isnan(u[0]).all()  # no interval says how long a first sample stands for
-    assert (u[1:] < 1e-4).all()

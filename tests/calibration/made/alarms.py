@@ -107,30 +107,16 @@ def faulty(name: str, fault: str, seed: int) -> str:
     return "named" if words in text else kind
 
 
-def _count(job: tuple[Callable[..., str], tuple[str, ...], range]) -> Counter[str]:
-    function, arguments, seeds = job
-    return Counter(function(*arguments, seed) for seed in seeds)
-
-
 def count_all(
     jobs: list[tuple[Callable[..., str], tuple[str, ...]]], tests: int, processes: int = 1
 ) -> list[Counter[str]]:
     """Kinds of remarks of every job, ``tests`` records each."""
-    size = max(1, min(50, tests // (2 * processes)))
-    parts = [
-        (index, (function, arguments, range(at, min(at + size, tests))))
-        for index, (function, arguments) in enumerate(jobs)
-        for at in range(0, tests, size)
-    ]
-    seen = [Counter[str]() for _ in jobs]
     if processes == 1:
-        for index, part in parts:
-            seen[index].update(_count(part))
-        return seen
+        return [Counter(function(*words, seed) for seed in range(tests)) for function, words in jobs]
     with ProcessPoolExecutor(processes) as pool:
-        for (index, _), counted in zip(parts, pool.map(_count, [part for _, part in parts]), strict=True):
-            seen[index].update(counted)
-    return seen
+        return [
+            Counter(pool.map(partial(function, *words), range(tests), chunksize=5)) for function, words in jobs
+        ]
 
 
 def omitted_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:

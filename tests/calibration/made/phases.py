@@ -1,14 +1,10 @@
 """Records with a phase of its own in each position, and whether the intervals of their calibrations contain the truth.
 
 The motion is integrated by Runge and Kutta in NumPy; nothing of piga is in it. The counter starts anew at each position.
-
-``python -m tests.calibration.made.phases [--records N]``
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import warnings
 
 import numpy as np
@@ -73,28 +69,3 @@ def errors(tangent: float, records: int) -> dict[str, np.ndarray]:
         for name in TERMS:
             result[name].append((calibration[name].value - truth[name]) / calibration[name].expanded)
     return {name: np.array(one) for name, one in result.items()}
-
-
-def shares(found: dict[str, np.ndarray]) -> dict[str, float]:
-    """Shares [%] of the intervals that contain the truth, and the mean error of tan_beta in expanded uncertainties."""
-    held = {name: round(100.0 * float(np.mean(np.abs(one) < 1.0)), 1) for name, one in found.items()}
-    return {
-        "records": len(found["tan_beta"]),
-        **held,
-        "mean error of tan_beta": round(float(np.mean(found["tan_beta"])), 2),
-    }
-
-
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=150)
-    chosen = parser.parse_args()
-    for tangent in TANGENTS:
-        figures = shares(errors(tangent, chosen.records))
-        sys.stdout.write(f"{tangent:g}: {figures}\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()

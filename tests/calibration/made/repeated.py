@@ -2,14 +2,10 @@
 
 The instrument feels the forces as they were set, the reference tells what was asked for. Motion, forces and errors are
 written here and in :mod:`tests.calibration.made.scenarios`; the product's stands and kernels take no part in the truth.
-
-Run as ``python -m tests.calibration.made.repeated --case head --tests 300``: coverage of every coefficient.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,7 +13,6 @@ from typing import Any
 import numpy as np
 
 import piga
-from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS, Array, Scenario
 from tests.calibration.made.synthetic import at_rest
@@ -43,12 +38,11 @@ class Repeated:
     stated: dict[str, Any]
     stand: dict[str, Any] | None = None
 
-    def record(self, rng: np.random.Generator, *, tell: bool = True) -> piga.Run:
-        """One simulated test; the lab states what repeats, or not."""
+    def record(self, rng: np.random.Generator) -> piga.Run:
+        """One simulated test; the lab states what repeats."""
         run = replace(self.scenario, forces=self.set_forces(rng)).record(rng)
         asked = (self.scenario.forces * G0)[run.segment_index]
-        told = at_rest(**self.stated) if tell else UncertaintyTable()
-        return replace(run, f=asked, uncertainty=told, stand=self.stand)
+        return replace(run, f=asked, uncertainty=at_rest(**self.stated), stand=self.stand)
 
 
 def head(
@@ -92,35 +86,11 @@ CASES: dict[str, Callable[[], Repeated]] = {
 }
 
 
-def one_test(case: Repeated, seed: int, *, tell: bool = True) -> tuple[Array, Array]:
-    """Errors of the coefficients over their half-widths, and the standard uncertainties (file units)."""
-    calibration = case.scenario.calibrate(case.record(np.random.default_rng([seed, 1906]), tell=tell))
-    half = np.array([c.expanded for c in calibration.coefficients])
-    return case.scenario.errors(calibration) / half, np.array([c.std for c in calibration.coefficients])
-
-
-def coverage(case: Repeated, tests: int, *, tell: bool = True, first: int = 0) -> tuple[Array, Array]:
-    """Share of the 95 % intervals that hold, and mean square error over mean square uncertainty, per coefficient."""
-    rows = [one_test(case, seed, tell=tell) for seed in range(first, first + tests)]
-    return np.mean([np.abs(row[0]) <= 1.0 for row in rows], axis=0), np.array([row[0] for row in rows]).std(
-        axis=0
-    )
-
-
-def main() -> None:
-    """Print the coverage of one case or of all."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--case", choices=list(CASES))
-    parser.add_argument("--tests", type=int, default=100)
-    parser.add_argument("--silent", action="store_true", help="the lab states nothing")
-    given = parser.parse_args()
-    for name in [given.case] if given.case else list(CASES):
-        case = CASES[name]()
-        held, spread = coverage(case, given.tests, tell=not given.silent)
-        shares = ", ".join(f"{n} {100 * v:.1f}" for n, v in zip(case.scenario.names, held, strict=True))
-        sys.stdout.write(f"{name}: {shares}; errors over half-widths {np.round(spread, 2)}\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()
+def coverage(case: Repeated, tests: int) -> Array:
+    """Share of the 95 % intervals that hold, per coefficient."""
+    held = []
+    for seed in range(tests):
+        calibration = case.scenario.calibrate(case.record(np.random.default_rng([seed, 1906])))
+        half = np.array([c.expanded for c in calibration.coefficients])
+        held.append(np.abs(case.scenario.errors(calibration)) <= half)
+    return np.mean(held, axis=0)

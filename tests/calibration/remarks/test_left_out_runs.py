@@ -87,16 +87,6 @@ def test_two_heads_whose_damping_turns_the_phase():
 
 
 @pytest.mark.long
-def test_an_asked_k3_holds_the_servo_as_well():
-    calibration = calibrate(two_heads(d=0.0), [*PLAIN, "k3"])
-    scale = calibration["scale_factor"]
-    assert scale.value == pytest.approx(BY_K3, rel=2e-6)
-    assert abs(scale.value - TRUTH["scale_factor"]) < scale.expanded
-    note = next(note for note in calibration.notes if "k3 may be the effect of the servo" in note)
-    assert float(re.search(r"([+-]\d+\.?\d*) ppm", note)[1]) == pytest.approx(13.0, abs=1.0)
-
-
-@pytest.mark.long
 def test_head_and_centrifuge_tell_what_the_model_lacks():
     runs = [
         noisy(head(8), "head", seconds=8.0),
