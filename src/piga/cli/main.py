@@ -9,7 +9,8 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,13 +18,15 @@ from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records, trend
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert, noise
-from piga.cli.common import DOING, App, note, prepare_output
+from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
 from piga.cli.compensate import compensate
 from piga.cli.init import init
 from piga.cli.simulate import plan, reproduce, simulate
-from piga.cli.ui import ui
 from piga.cli.words import completion, examples, methods, terms
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
+
+if TYPE_CHECKING:
+    from piga.workbench.security import Door
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
@@ -67,6 +70,49 @@ def _options(
     ),
 ) -> None:
     pass
+
+
+_Gone = typer.Option(hidden=True, metavar="...")
+
+
+def ui(
+    folder: Annotated[
+        Path, argument("FOLDER", "Folder of records [default: this one].", show_default=False)
+    ] = Path(),
+    port: Annotated[
+        int, option("--port", "N", "Port on this machine [default: a free one].", show_default=False)
+    ] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
+    host: Annotated[str | None, _Gone] = None,
+    tls: Annotated[tuple[str, str] | None, _Gone] = None,
+    password_file: Annotated[str | None, _Gone] = None,
+    live: Annotated[str | None, _Gone] = None,
+    phase: Annotated[str | None, _Gone] = None,
+) -> None:
+    """Open the workbench in the browser.
+
+    It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
+    """
+    from piga.errors import ArgumentError
+    from piga.workbench.app import open_browser, serve
+
+    if host is not None or tls is not None or password_file is not None:
+        raise ArgumentError(
+            "piga ui answers on this machine only: --host, --tls and --password-file are gone",
+            remedy="from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy",
+        )
+    if live is not None or phase is not None:
+        raise ArgumentError(
+            "piga ui shows no stream any more: --live and --phase are gone",
+            remedy="compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json",
+        )
+
+    def ready(door: Door, place: Path) -> None:
+        say(f"piga ui: {door.address}")
+        if browser:
+            open_browser(door, place)
+
+    serve(folder, port, ready=ready)
 
 
 for command in (
@@ -116,10 +162,10 @@ def main() -> None:
 
 def _run() -> None:
     """Run the command of the arguments; one that is no name and no value is not repeated in a message."""
-    for number, argument in enumerate(sys.argv[1:], start=1):
-        if len(argument) > _LONGEST:
+    for number, word in enumerate(sys.argv[1:], start=1):
+        if len(word) > _LONGEST:
             raise ArgumentError(
-                f"argument {number} has {len(argument)} characters, at most {_LONGEST} are allowed",
+                f"argument {number} has {len(word)} characters, at most {_LONGEST} are allowed",
                 remedy="put a long text into a file, and name the file",
             )
     app(standalone_mode=True, prog_name="piga")

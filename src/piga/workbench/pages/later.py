@@ -1,4 +1,7 @@
-"""What comes after a calibration: certificate, compensation, the plan of the next test, trend, ledger, prospects of terms."""
+"""What comes after a calibration: certificate, compensation, the plan of the next test, ledger, trend, prospects of terms.
+
+Also any TOML file as text, and the commands that run it.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,8 @@ from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in, toml_document
-from piga.workbench.folder import CALIBRATION, Kept, results_of
+from piga.workbench.folder import CALIBRATION, Kept, OutsideError, results_of
+from piga.workbench.history import ChangedError
 from piga.workbench.pages.common import Bench, Field, Sent, bench_of, in_line, only, posted, redirect, render
 from piga.workbench.pages.record import kept_of, left
 from piga.workbench.signals import cache_key
@@ -245,22 +249,20 @@ def _verify(request: Request, sent: Sent) -> Response:
 # --- compensation, plan, ledger: forms of one command ----------------------------------------------
 
 
-def _form(
-    request: Request, title: str, words: str, fields: list[Field], code: int = 200, **more: Any
-) -> Response:
-    """The page that asks for the options of a command; without fields there is nothing yet to do it with."""
-    values = left(bench_of(request)) | {
-        "title": title,
-        "words": words,
-        "fields": fields,
-        "stores": (),
-        "link": "",
-    }
-    return render(request, "form.html.jinja", code, **values | more)
+def _asked(
+    request: Request, sent: Sent | None, title: str, words: str, fields: list[Field], *, ready: bool = True, **more: Any
+) -> tuple[dict[str, Field], Response | None]:  # fmt: skip
+    """The options of a command as sent; and the page that asks for them, unless all are sent and none is refused.
 
-
-def _is_refused(fields: list[Field]) -> bool:
-    return any(field.refusal for field in fields)
+    ``ready``: False if there is nothing yet to do it with.
+    """
+    typed = fields if sent is None else [field.with_sent(sent) for field in fields]
+    by_key = {field.key: field for field in typed}
+    if sent is not None and not any(field.refusal for field in typed):
+        return by_key, None
+    values = {"title": title, "words": words, "fields": typed if ready else [], "stores": (), "link": ""}
+    code = 200 if sent is None else 422
+    return by_key, render(request, "form.html.jinja", code, **left(bench_of(request)) | values | more)
 
 
 def _same(names: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -286,21 +288,22 @@ def _compensation(request: Request, sent: Sent | None = None) -> Response:
             "other-serial", "accept a calibration of another serial number", choices=(("", "no"), ("1", "yes"))
         ),
     ]
-    if sent is not None:
-        fields = [field.with_sent(sent) for field in fields]
-    if sent is None or _is_refused(fields):
-        words = (
-            "The cross-coupling is taken off the record with the coefficients of a kept calibration. "
-            "The file is written beside the record."
-        )
-        code = 200 if sent is None else 422
-        return _form(request, "Compensate", words, fields if kept else [], code)
-    run, calibration = folder.toml(only(sent, "run")), f"{kept_of(bench, only(sent, 'of')).name}/{CALIBRATION}"
-    out = run.with_name(f"{run.stem}-compensated.{'csv' if only(sent, 'format') == 'csv' else 'parquet'}")
+    words = (
+        "The cross-coupling is taken off the record with the coefficients of a kept calibration. "
+        "The file is written beside the record."
+    )
+    asked, page = _asked(request, sent, "Compensate", words, fields, ready=bool(kept))
+    if page is not None:
+        return page
+    run, calibration = (
+        folder.toml(asked["run"].typed),
+        f"{kept_of(bench, asked['of'].typed).name}/{CALIBRATION}",
+    )
+    out = run.with_name(f"{run.stem}-compensated.{'csv' if asked['format'].typed == 'csv' else 'parquet'}")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
-    command += [f"--{field.key}={field.value}" for field in fields if field.like and field.typed]
-    command += ["--other-serial"] if only(sent, "other-serial") else []
+    command += [f"--{field.key}={field.value}" for field in asked.values() if field.like and field.typed]
+    command += ["--other-serial"] if asked["other-serial"].typed else []
     reads = [*files_named_in(run), folder.file(calibration)]
     return start(request, command, "Compensate", folder.name(run), folder.name(out), reads)
 
@@ -312,18 +315,17 @@ def _plan(request: Request, sent: Sent | None = None) -> Response:
     bench = bench_of(request)
     of = request.query_params.get("of", "")
     time_field = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
-    if sent is not None:
-        time_field = time_field.with_sent(sent)
-    if sent is None or time_field.refusal:
-        words = (
-            "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins "
-            f"with example values of stand and instrument{', and with its serial number and K' if of else ''}; every entry "
-            "can be changed as text afterwards."
-        )
-        code = 200 if sent is None else 422
-        return _form(request, "Plan the test", words, [time_field], code, link=f"/text?example={_PLAN}")
+    words = (
+        "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins "
+        f"with example values of stand and instrument{', and with its serial number and K' if of else ''}; every entry "
+        "can be changed as text afterwards."
+    )
+    link = f"/text?example={_PLAN}"
+    asked, page = _asked(request, sent, "Plan the test", words, [time_field], link=link)
+    if page is not None:
+        return page
     document: Any = tomlkit.parse(example_files()[_PLAN].decode("utf-8"))
-    document["plan"]["duration"] = time_field.value
+    document["plan"]["duration"] = asked["hours"].value
     if of:
         kept = kept_of(bench, of)
         document["instrument"]["serial"] = kept.serial
@@ -339,8 +341,8 @@ def _ledger(request: Request, sent: Sent | None = None) -> Response:
     """Ledgers of the folder; keep a result in one, list, verify or export it."""
     bench = bench_of(request)
     stores, word = bench.folder.listed(*_STORES), only(sent or {}, "do")
-    if sent is not None and word in ("list", "verify", "export"):
-        store = _store(bench, sent)
+    if word in ("list", "verify", "export"):
+        store = _store(bench, only(sent or {}, "store"))
         out = f"{store.stem}-{time.strftime('%Y%m%d-%H%M%S')}.zip" if word == "export" else ""
         command = ["records", word, *([out] if out else []), "--store", store.name]
         return start(request, command, f"{word.capitalize()} the ledger", store.name, out)
@@ -350,21 +352,22 @@ def _ledger(request: Request, sent: Sent | None = None) -> Response:
         Field("operator", "operator", "who keeps the record", needed=True),
         Field("reason", "reason", "why it is kept", needed=True),
     ]
-    if sent is not None:
-        fields = [field.with_sent(sent) for field in fields]
-    if sent is None or _is_refused(fields):
-        words = "A ledger keeps inputs, results and report of a calibration, so that nothing can be changed unnoticed."
-        shown = fields if fields[0].choices else []
-        return _form(request, "Add to the ledger", words, shown, 200 if sent is None else 422, stores=stores)
-    store, run = _store(bench, sent), bench.folder.toml(only(sent, "run"))
+    words = (
+        "A ledger keeps inputs, results and report of a calibration, so that nothing can be changed unnoticed."
+    )
+    ready = bool(fields[0].choices)
+    asked, page = _asked(request, sent, "Add to the ledger", words, fields, ready=ready, stores=stores)
+    if page is not None:
+        return page
+    store, run = _store(bench, asked["store"].typed), bench.folder.toml(asked["run"].typed)
     results = bench.folder.name(bench.folder.path(bench.folder.name(results_of(run))))
     command = ["records", "add", bench.folder.name(run), "--store", store.name, "--results", results]
-    command += [f"--{field.key}={' '.join(field.typed.split())}" for field in fields[2:]]
+    command += [f"--{key}={' '.join(asked[key].typed.split())}" for key in ("operator", "reason")]
     return start(request, command, "Add to the ledger", bench.folder.name(run))
 
 
-def _store(bench: Bench, sent: Sent) -> Path:
-    store = bench.folder.path(only(sent, "store"))
+def _store(bench: Bench, name: str) -> Path:
+    store = bench.folder.path(name)
     if store.parent != bench.folder.root or store.suffix not in _STORES:
         raise ArgumentError(f"{store.name[:80]!r}: cannot be the name of a ledger", remedy="e.g. lab.sqlite")
     return store
@@ -403,6 +406,81 @@ def _prospects(request: Request) -> Response:
     return render(request, "prospects.html.jinja", name=name, status=status, rows=rows, message=message)
 
 
+# --- show as text ----------------------------------------------------------------------------------
+
+_COMMANDS: dict[str, dict[str, str]] = {
+    "run file": {"check": "Check", "calibrate": "Calibrate"},
+    "plan": {"plan": "Plan the test"},
+    "platform": {
+        "platform navigate": "Navigate", "platform compare": "Compare models", "platform simulate": "Simulate",
+        "platform identify": "Identify", "platform align": "Align",
+    },
+    "scenario": {"simulate": "Simulate the test"},
+    "other file": {},
+}  # fmt: skip
+"""Commands by kind of file."""
+
+
+def _kind_of(document: dict[str, Any]) -> str:
+    """Kind of a file by its tables."""
+    for table, kind in (("data", "run file"), ("plan", "plan"), ("case_rotation", "platform")):
+        if table in document:
+            return kind
+    return "scenario" if {"stand", "electronics"} <= document.keys() else "other file"
+
+
+def _show_text(request: Request) -> Response:
+    """A file, or an example to begin with."""
+    folder, query = bench_of(request).folder, request.query_params
+    name, example = query.get("file", ""), query.get("example", "")
+    if name:
+        return _text_page(request, name, folder.text(name))
+    if example and example not in _examples():
+        raise OutsideError(f"{example[:80]!r}: is no example", remedy="choose one of the list")
+    return _text_page(request, "", _examples()[example].decode("utf-8") if example else "", example=example)
+
+
+def _examples() -> dict[str, bytes]:
+    return {name: raw for name, raw in sorted(example_files().items()) if name.endswith(".toml")}
+
+
+def _text_page(
+    request: Request, name: str, text: str, message: str = "", code: int = 200, example: str = ""
+) -> Response:
+    bench, kind = bench_of(request), "other file"
+    with contextlib.suppress(PigaError):
+        kind = _kind_of(toml_document(Path(name or "the text"), text.encode()))
+    seen = bench.history.seen(bench.folder.text(name)) if name and bench.folder.path(name).is_file() else ""
+    return render(
+        request, "text.html.jinja", code, **left(bench, name), file=name, text=text, message=message, seen=seen,
+        commands=_COMMANDS[kind].items(), names=bench.folder.listed(".toml")[:500], example=example, examples=_examples(),
+    )  # fmt: skip
+
+
+def _save_text(request: Request, sent: Sent) -> Response:
+    """Save the file; run a command on it."""
+    bench, word = bench_of(request), only(sent, "do")
+    name, text = only(sent, "file"), only(sent, "text").replace("\r\n", "\n")
+    name = name if name.endswith(".toml") else f"{name}.toml"
+    path = bench.folder.path(name)
+    try:
+        kind = _kind_of(toml_document(path, text.encode()))
+        seen = only(sent, "seen") if name == only(sent, "was") else ""
+        bench.history.write(name, seen, text, f"save {name}", "run" if kind == "run file" else kind)
+    except ChangedError:
+        raise
+    except PigaError as error:
+        return _text_page(request, name, text, str(error), 422)
+    if word == "save":
+        return redirect(request, f"/text?file={name}")
+    if word not in _COMMANDS[kind]:
+        raise ArgumentError(f"{word[:40]!r}: is not a command for this file", remedy="use the buttons")
+    words = word.split()
+    out = "" if word == "check" else bench.folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
+    command = [*words, name, *(["--out", out, "--force"] if out else [])]
+    return start(request, command, word.capitalize(), name, out, files_named_in(path))
+
+
 ROUTES = [
     Route("/certificate", _certificate, methods=["GET"]),
     Route("/certificate", posted(_issue), methods=["POST"]),
@@ -414,4 +492,6 @@ ROUTES = [
     ),
     Route("/trend", posted(_trend), methods=["POST"]),
     Route("/prospects/{name:path}", _prospects),
+    Route("/text", _show_text, methods=["GET"]),
+    Route("/text", posted(_save_text), methods=["POST"]),
 ]
