@@ -1,6 +1,6 @@
 """Intervals that hold and estimates that are efficient, over many simulated tests.
 
-Eighty in the default suite, a thousand of every scenario in the slow one, ten thousand by
+Forty in the default suite, a thousand of every scenario in the slow one, ten thousand by
 ``python -m benchmarks.intervals coverage --repeats 10000``.
 """
 
@@ -18,7 +18,7 @@ from scipy.stats import binom
 from piga.campaign.subjects import Outcome
 from tests.calibration.made.scenarios import SCENARIOS
 
-FEW = 10 if numba.config.DISABLE_JIT else 80
+FEW = 10 if numba.config.DISABLE_JIT else 40
 REPEATS = 1000
 EXACT = ("static", "centrifuge", "near-critical", "walk")
 """Scenarios whose output is not coarsely counted."""
@@ -44,7 +44,7 @@ def held(results: list[Outcome]) -> np.ndarray:
 
 
 @pytest.mark.long
-def test_intervals_hold_in_eighty_tests() -> None:
+def test_intervals_hold_in_forty_tests() -> None:
     """Coverage of 93 to 97 %, beyond chance (99.9 %), with few degrees of freedom."""
     coverage = held(outcomes("static", FEW))
     assert (coverage >= binom.ppf(0.0005, FEW, 0.93) / FEW).all()

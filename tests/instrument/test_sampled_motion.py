@@ -314,14 +314,6 @@ def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even
 
 
 @pytest.mark.interpreted
-def test_one_increment_is_a_constant_rate() -> None:
-    t, f = np.array([0.0, 0.05]), np.tile(START, (2, 1))
-    assert propagate_increments(SHORT, t, 0.05 * START[None, :]) == pytest.approx(
-        propagate(SHORT, t, f, between="linear"), abs=1e-15
-    )
-
-
-@pytest.mark.interpreted
 @pytest.mark.parametrize("h", [0.05, 0.7, 3.0, 20.0])
 def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
     """Steps of many turns are taken one by one: the rate at a sample must still be the one of its own angle."""

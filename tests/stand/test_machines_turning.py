@@ -106,22 +106,6 @@ def test_imperfections_of_the_head_to_first_order(errors, expected):
     assert change == pytest.approx(expected(np.array(HEAD.positions)), abs=2e-10)
 
 
-def test_bad_positions_are_refused():
-    with pytest.raises(ArgumentError, match="range is empty"):
-        angles_of_range("0:10:-1 deg", "positions", "0:360:15 deg")
-    with pytest.raises(ArgumentError, match="none given"):
-        DividingHead(SITE, ())
-    with pytest.raises(ArgumentError, match="must be positive"):
-        DividingHead(SITE, (0.0,), dwell=-1.0)
-
-
-def test_times_of_a_head_are_positive():
-    assert DividingHead(SITE, (0.0,), dwell=0.5, move=0.5).segments()[0].duration == 0.5
-    for name in ("dwell", "move", "settling_time"):
-        with pytest.raises(ArgumentError, match="must be positive"):
-            DividingHead(SITE, (0.0,), **{name: 0.0})
-
-
 def inertial(spindle, arm, t, h=2e-3):
     """Specific force of a point on an arm, in axes (north, west, up), from its place in inertial space.
 
@@ -257,17 +241,24 @@ def test_an_arm_on_the_table_feels_the_ramp():
     assert f == pytest.approx(np.column_stack([-0.2 * rate**2, 0.2 * acceleration, np.full(3, 9.80166)]))
 
 
-def test_small_levels_are_levels_and_times_must_be_positive():
+def test_small_levels_are_levels() -> None:
     assert rates_for_levels((0.0, 0.5), 2.0) == pytest.approx([0.0, 0.5])
-    for dwell, ramp in ((0.0, 1.0), (1.0, 0.0)):
-        with pytest.raises(ArgumentError, match="must be positive"):
-            SpinPlan((1.0,), dwell, ramp)
     assert RateTable(SITE, SpinPlan((1.0,), 0.5, 0.5)).segments()[0].duration == 0.5
 
 
 @pytest.mark.parametrize(
-    ("rates", "dwell", "words"), [((), 1.0, "none given"), ((1.0,), 0.0, "must be positive")]
+    ("make", "words"),
+    [
+        (lambda: angles_of_range("0:10:-1 deg", "positions", "0:360:15 deg"), "range is empty"),
+        (lambda: DividingHead(SITE, ()), "none given"),
+        (lambda: DividingHead(SITE, (0.0,), dwell=-1.0), "must be positive"),
+        (lambda: DividingHead(SITE, (0.0,), move=0.0), "must be positive"),
+        (lambda: DividingHead(SITE, (0.0,), settling_time=0.0), "must be positive"),
+        (lambda: SpinPlan((), 1.0, 1.0), "none given"),
+        (lambda: SpinPlan((1.0,), 0.0, 1.0), "must be positive"),
+        (lambda: SpinPlan((1.0,), 1.0, 0.0), "must be positive"),
+    ],
 )
-def test_bad_spins(rates: tuple[float, ...], dwell: float, words: str) -> None:
+def test_machines_that_cannot_be_are_refused(make, words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
-        SpinPlan(rates, dwell, 1.0)
+        make()

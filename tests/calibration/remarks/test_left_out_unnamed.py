@@ -43,12 +43,12 @@ def holds(result: piga.Calibration) -> bool:
 
 @pytest.mark.long
 def test_k_holds_the_truth_beside_a_hidden_servo():
-    runs = [record(seed) for seed in range(3, 14)]
+    runs = [record(seed) for seed in range(3, 10)]
     bounded = [piga.calibrate(waived(run, "earth_rate"), TERMS) for run in runs]
     assert all(map(holds, bounded))
     assert not all(holds(piga.calibrate(waived(run, "earth_rate", "servo"), TERMS)) for run in runs)
     silent = [result for result in bounded if not any("servo" in doubt.what for doubt in result.verdict.doubts)]
-    assert len(silent) > 6
+    assert len(silent) > 3
     assert {servo(result).status for result in silent} == {"bounded"}
 
 

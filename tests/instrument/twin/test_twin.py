@@ -22,7 +22,7 @@ from piga.instrument.twin.linear import (
     predicted_second_harmonic,
 )
 from piga.instrument.twin.parameters import PRESETS, TwinParameters, twin_parameters
-from piga.instrument.twin.run import quasi_steady_state, run_twin, slow_manifold
+from piga.instrument.twin.run import run_twin
 from piga.units import G0
 from tests.instrument.rigid_body import RICH, accelerations, solve
 
@@ -160,18 +160,6 @@ def test_sampling_does_not_matter_for_linear_inputs():
     assert np.max(np.abs(fine.alpha[::50] - coarse.alpha)) < 1e-10
 
 
-@pytest.mark.interpreted
-@pytest.mark.slow
-def test_ten_minutes_at_one_kilohertz_in_twenty_seconds():
-    import time
-
-    t, f, omega = constant((G0, 0.3 * G0, 0.0), 600.0)
-    run_twin(EXAMPLE, t[:10], f[:10], omega[:10])
-    started = time.perf_counter()
-    run_twin(EXAMPLE, t, f, omega)
-    assert time.perf_counter() - started < 20.0
-
-
 # -- slow manifold ---------------------------------------------------------------------------------
 
 
@@ -184,27 +172,6 @@ def test_slow_manifold_has_no_transient():
     bend = np.abs(np.diff(smooth.beta, 3)).max()
     assert bend < 1e-5 * np.abs(np.diff(rough.beta, 3)).max()
     assert smooth.alpha[0] == 0.7
-
-
-@pytest.mark.interpreted
-def test_transient_start_converges_to_the_manifold():
-    p = replace(EXAMPLE.stiffened(2.0), alpha0=0.7)
-    t, f, omega = constant((G0, 0.5 * G0, 0.0), 0.8, 1e-2)
-    rough = run_twin(p, t, f, start="transient")
-    state = slow_manifold(p, 0.0, rough.alpha[-1], f[0], omega[0])
-    assert rough.beta[-1] == pytest.approx(state[1], abs=1e-10)
-    assert rough.rate[-1] == pytest.approx(state[2], abs=1e-7)
-
-
-@pytest.mark.interpreted
-def test_first_guess_balances_torques():
-    p = replace(EXAMPLE, outer_torque=1e-3)
-    state = quasi_steady_state(p, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
-    load = p.pendulosity * 0.3 * G0 * math.cos(0.5) + 1e-3
-    assert p.integral_gain * state[4] == pytest.approx(load)
-    loose = replace(p, integral_gain=0.0)
-    state = quasi_steady_state(loose, 0.0, 0.5, (G0, 0.3 * G0, 0.0), (0.0, 0.0, 0.0))
-    assert loose.proportional_gain * (state[1] - loose.pick_off_null) == pytest.approx(load)
 
 
 # -- what theory predicts ----------------------------------------------------------------------------
