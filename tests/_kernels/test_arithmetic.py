@@ -11,6 +11,8 @@ import pytest
 from piga._kernels import arithmetic as dd
 from piga._kernels.arithmetic import double_arctangent, sine_cosine
 
+pytestmark = pytest.mark.interpreted
+
 
 def exact(pair):
     return mp.mpf(float(pair[0])) + mp.mpf(float(pair[1]))
@@ -22,7 +24,6 @@ def _fifty_digits():
         yield
 
 
-@pytest.mark.interpreted
 def test_double_double_keeps_thirty_digits():
     rng = np.random.default_rng(3)
     for a, b in rng.normal(0.0, 1e3, (50, 2)):
@@ -35,7 +36,6 @@ def test_double_double_keeps_thirty_digits():
         assert abs(exact(dd.square_root(positive)) ** 2 / exact(positive) - 1) < 1e-29
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("phase", [0.3, 1e3, 1e9, 6.3e11])
 def test_reduction_by_pi_at_any_phase(phase):
     n, rest = dd.remainder_pi((phase, 1e-17 * phase))
@@ -44,7 +44,6 @@ def test_reduction_by_pi_at_any_phase(phase):
     assert rest == pytest.approx(float(reference - mp.pi * mp.nint(reference / mp.pi)), abs=2e-16)
 
 
-@pytest.mark.interpreted
 def test_double_arctangent_to_an_ulp():
     angles = np.concatenate([np.linspace(-np.pi, np.pi, 801)[1:-1], 10.0 ** np.arange(-300, 0, 20)])
     for half in angles:
@@ -59,7 +58,6 @@ def test_double_arctangent_to_an_ulp():
     assert double_arctangent(0.0, 1.0) == 0.0
 
 
-@pytest.mark.interpreted
 def test_sine_and_cosine_are_good_to_4e16_for_any_angle():
     """Against 50 digits at random angles to 1e9 rad, near quarter turns too."""
     import mpmath

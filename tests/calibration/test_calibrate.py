@@ -16,6 +16,8 @@ from piga.units import G0, parse_unit
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.synthetic import BETA, PHI, SCALE, TERMS, at_rest, errors, record
 
+pytestmark = pytest.mark.long
+
 NOISES = {
     "white": {"white": 2.5e-5},
     "walk": {"white": 1e-9, "walk": 3e-5},
@@ -24,7 +26,6 @@ NOISES = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("noise", "method"),
     [*((noise, "information") for noise in NOISES), ("mixed", "rate"), ("mixed", "recursive")],
@@ -38,7 +39,6 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
     assert method != "information" or noise == "counts" or calibration.diagnostics.segment_scatter_ratio < 1.4
 
 
-@pytest.mark.long
 def test_recursive_is_batch_and_has_a_history() -> None:
     run = record(np.random.default_rng(12), **NOISES["mixed"])
     batch = piga.calibrate(run, TERMS)
@@ -52,7 +52,6 @@ def test_recursive_is_batch_and_has_a_history() -> None:
     assert recursive.history["u(tan_beta)"][0] > 3.0 * recursive.history["u(tan_beta)"][-1]
 
 
-@pytest.mark.long
 def test_per_segment_phases_share_tan_beta() -> None:
     run = record(np.random.default_rng(13), per_segment=True)
     calibration = piga.calibrate(run, TERMS, phases="per-segment")
@@ -64,7 +63,6 @@ def test_per_segment_phases_share_tan_beta() -> None:
         calibration["k9"]
 
 
-@pytest.mark.long
 def test_rate_log() -> None:
     rng = np.random.default_rng(15)
     t = np.arange(20_001) * 0.01
@@ -81,7 +79,6 @@ def test_rate_log() -> None:
     assert calibration.angle_random_walk == pytest.approx(1e-5 * 0.1, rel=0.03)
 
 
-@pytest.mark.long
 def test_base_rate_is_part_of_the_model() -> None:
     """Earth rate is 82 micro-g here: left out it must show in k0, given it must not."""
     fine = np.arange(80_001) * 0.0025
@@ -101,7 +98,6 @@ def test_base_rate_is_part_of_the_model() -> None:
     )
 
 
-@pytest.mark.long
 def test_every_term_of_the_error_model() -> None:
     """A made-up record holding every term at once, noiseless, is solved to the interpolation error."""
     t = np.arange(400 * 50 * 8 + 1) * 0.0025
@@ -163,14 +159,12 @@ def ramp(kind: str) -> piga.Run:
     return piga.Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", units="SI")
 
 
-@pytest.mark.long
 def test_phase_from_input_leaves_the_published_residual() -> None:
     calibration = piga.calibrate(ramp("ramp"), ["tan_beta"], phase_source="input")
     assert calibration.residual_max_after / 0.8884 == pytest.approx(1.67e-3, rel=0.01)
     assert piga.calibrate(ramp("ramp"), ["tan_beta"]).residual_max_after / 0.8884 < 1e-8
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("terms", "options", "message"),
     [
@@ -202,7 +196,6 @@ def still(f: tuple[float, float, float], seconds: float = 60.0) -> piga.Run:
     return piga.Run.from_arrays(t, alpha, force, scale_factor=SCALE, units="SI")
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("force", "terms", "named", "remedy"),
     [
@@ -217,7 +210,6 @@ def test_what_cannot_be_identified_is_refused_by_name(force, terms, named, remed
     assert all(name in caught.value.message for name in named)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("levels", "terms", "least"),
     [
@@ -238,7 +230,6 @@ def test_too_few_levels_are_called_that(levels, terms, least) -> None:
     assert "never changes" not in caught.value.remedy
 
 
-@pytest.mark.long
 def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     run = record(np.random.default_rng(3), levels=(1.0,))
     flat = replace(run, f=run.f * [1.0, 1.0, 0.0])
@@ -247,7 +238,6 @@ def test_one_plane_tumble_cannot_separate_k0_k2_and_k_YY() -> None:
     assert "k0, k2, k_YY" in caught.value.message
 
 
-@pytest.mark.long
 def test_type_b_first_order() -> None:
     run = record(np.random.default_rng(17), white=1e-6)
     rest = at_rest()
@@ -280,7 +270,6 @@ def test_type_b_first_order() -> None:
     assert full["scale_factor"].value == plain["scale_factor"].value
 
 
-@pytest.mark.long
 def test_given_noise_levels_are_used() -> None:
     from piga.records.run_file import EstimationTable
 
@@ -293,7 +282,6 @@ def test_given_noise_levels_are_used() -> None:
     assert estimated.angle_rms == pytest.approx(2.5e-5, rel=0.03)
 
 
-@pytest.mark.long
 def test_sampling_too_slow_for_the_motion_is_refused() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     f = G0 * np.column_stack([30.0 * np.sin(2.0 * t), 1.0 + 0.0 * t, 0.0 * t])
@@ -302,7 +290,6 @@ def test_sampling_too_slow_for_the_motion_is_refused() -> None:
         piga.calibrate(run, ["tan_beta"])
 
 
-@pytest.mark.long
 def test_too_short_a_record() -> None:
     t = np.arange(5) * 0.1
     run = piga.Run.from_arrays(t, t, np.ones((5, 3)), scale_factor=SCALE, units="SI")
@@ -310,7 +297,6 @@ def test_too_short_a_record() -> None:
         piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k3"])
 
 
-@pytest.mark.long
 def test_relations_that_must_hold() -> None:
     """Scale of time, turn of the transverse frame, doubled K: the estimates follow exactly, without a scatter."""
     run = record(np.random.default_rng(21), **NOISES["mixed"])
@@ -328,7 +314,6 @@ def test_relations_that_must_hold() -> None:
     assert shifted["phi"].value == pytest.approx(base["phi"].value - 0.7, abs=1e-9)
 
 
-@pytest.mark.long
 def test_the_former_name_of_phases_still_works():
     """Scripts and run files of 0.1.0 say ``phase``."""
     run = record(np.random.default_rng(2), seconds=12.0, rate=4.0, count=5)

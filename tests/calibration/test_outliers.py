@@ -12,6 +12,8 @@ from piga.calibration.outliers import limit
 from piga.units import G0
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
+pytestmark = pytest.mark.long
+
 NOISE = {"white": 2.5e-5, "walk": 1e-5, "seconds": 20.0}
 
 
@@ -23,7 +25,6 @@ def spiked(run: piga.Run, seed: int, share: float, size: float) -> tuple[piga.Ru
     return replace(run, output=output), bad
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("share", "size"), [(0.001, 1e-3), (0.05, 1.0), (0.2, 1e-3), (0.2, 1e3)])
 def test_spikes_are_left_out(share: float, size: float) -> None:
     run = record(np.random.default_rng(31), **NOISE)
@@ -39,7 +40,6 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
         assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
 
 
-@pytest.mark.long
 def test_intervals_hold_under_contamination() -> None:
     """20 records with 20 % bad samples: mean square of error over uncertainty that of Student's t with few degrees of freedom."""
     squares = []
@@ -50,7 +50,6 @@ def test_intervals_hold_under_contamination() -> None:
     assert 0.8 < np.mean(squares) < 1.9
 
 
-@pytest.mark.long
 def test_jumps_and_stuck_readings_have_their_times() -> None:
     run = record(np.random.default_rng(32), **NOISE)
     output = run.output.copy()
@@ -68,14 +67,12 @@ def test_jumps_and_stuck_readings_have_their_times() -> None:
     assert sum(e.count for e in calibration.quality.events if e.kind == "outlier-jump") == 2
 
 
-@pytest.mark.long
 def test_too_much_is_refused() -> None:
     run = record(np.random.default_rng(34), **NOISE)
     with pytest.raises(piga.DataError, match=r"% of the samples contradict the reference"):
         piga.calibrate(spiked(run, 34, 0.5, 1.0)[0], TERMS)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("size", "bad"), [(30.0, 30), (300.0, 1), (-5e4, 30)])
 def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> None:
     """Their integral is radians: with it the coupling of the rest of the log would be at another phase."""
@@ -93,7 +90,6 @@ def test_spikes_of_a_rate_log_do_not_turn_its_phase(size: float, bad: int) -> No
     assert calibration["tan_beta"].value == pytest.approx(np.tan(BETA), rel=2e-3)
 
 
-@pytest.mark.long
 def test_clean_records_stay_whole() -> None:
     """10 records, 48 000 good samples: fewer than 4 are left out (0.5 expected)."""
     lost = 0
@@ -106,7 +102,6 @@ def test_clean_records_stay_whole() -> None:
     assert limit(1_000_000, 5) == pytest.approx(5.45, abs=0.01)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("count", [2.0 * np.pi / 3600, 2.0 * np.pi / 360])
 def test_coarse_counts_are_no_outliers(count: float) -> None:
     run = record(np.random.default_rng(37), white=1e-7, count_angle=count)
@@ -114,13 +109,11 @@ def test_coarse_counts_are_no_outliers(count: float) -> None:
     assert piga.calibrate(replace(run, resolution=0.0), TERMS).outliers == ()
 
 
-@pytest.mark.long
 def test_missing_terms_are_no_outliers() -> None:
     run = record(np.random.default_rng(38), white=1e-7)
     assert piga.calibrate(run, ["scale_factor"]).outliers == ()
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("rate", [0.004, 0.05, 0.6])
 def test_spikes_are_found_among_readings_that_stand_still(rate: float) -> None:
     """A path of so many counts a sample: most readings repeat the one before, and are no outliers."""
@@ -145,7 +138,6 @@ def slow_counter(rate: float) -> piga.Run:
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("zero", [0, 2**24 - 3000])
 def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
     """More than a quarter of the increments lie on the path without any miss: the core has no width."""
@@ -173,7 +165,6 @@ def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Ru
     return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
 
 
-@pytest.mark.long
 def test_one_wrong_reading_of_thirty_two() -> None:
     """15 records of eight positions: sound ones keep all readings, of others the wrong one alone is left out."""
     kept = alone = 0

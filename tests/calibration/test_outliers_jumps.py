@@ -11,6 +11,8 @@ import pytest
 import piga
 from tests.calibration.made.independent import Bench
 
+pytestmark = pytest.mark.long
+
 TERMS = ("scale_factor", "tan_beta", "k0")
 BENCH = Bench()
 ENDS = {"start": (True, False), "end": (False, True), "both": (True, True)}
@@ -43,7 +45,6 @@ def clean(angle: np.ndarray) -> piga.Calibration:
     return piga.calibrate(BENCH.run(angle), TERMS)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("ends", ENDS)
 @pytest.mark.parametrize(
     ("position", "count", "offset"),
@@ -54,7 +55,6 @@ def test_few_wrong_readings_do_not_turn_the_phase(ends, position, count, offset,
     check(BENCH, piga.calibrate(run, TERMS), clean)
 
 
-@pytest.mark.long
 def test_many_wrong_readings_at_an_end_are_a_doubt_with_its_remedy(angle, clean):
     """They look like a slip. The residuals say that the phase is wrong, and the remedy gives the coefficients."""
     run = BENCH.run(spoiled(angle, 3, (False, True), 15, 0.3))
@@ -66,7 +66,6 @@ def test_many_wrong_readings_at_an_end_are_a_doubt_with_its_remedy(angle, clean)
         assert abs(BENCH.miss(free, name)) < 4.0 * clean[name].std, name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("offset", [0.05, 0.3])
 def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
     """Two thirds of the way through a position, and 15 readings before its end."""
@@ -81,7 +80,6 @@ def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
         assert "all later readings are corrected by it" in texts[0]
 
 
-@pytest.mark.long
 def test_a_jump_ends_with_its_segment_where_each_has_a_phase(angle):
     """A slip in position 2 that the counter loses again at the next position: later phases stay as they are."""
     slipped = angle.copy()
@@ -91,7 +89,6 @@ def test_a_jump_ends_with_its_segment_where_each_has_a_phase(angle):
         assert one.value == pytest.approx(other.value, abs=other.std), one.key
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("position", "count"), [(3, 2), (3, 7), (7, 7)])
 def test_the_note_of_a_slip_near_the_end_of_a_segment_says_so(position, count, angle):
     """Nothing follows the last position, where a slip is as good as wrong readings."""

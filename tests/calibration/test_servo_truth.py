@@ -9,6 +9,8 @@ import piga
 from tests.calibration.made import servo_campaign as campaign
 from tests.instrument.servo_truth import Design, G, centrifuge_record, head_record
 
+pytestmark = pytest.mark.long
+
 BODY = Design(beta=1e-3, errors={"k0": 3e-4 * G, "k2": 2e-6 / G})
 HEAD = ["scale_factor", "tan_beta", "k0", "k2", "servo", "servo_damping"]
 
@@ -47,7 +49,6 @@ def off(result):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_head_record_of_the_rigid_body_comes_back():
     """K to 0.02 ppm, where it is off by some ppm without the terms."""
     run = run_of(head())
@@ -61,7 +62,6 @@ def test_head_record_of_the_rigid_body_comes_back():
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.parametrize(("levels", "coupling"), [((-10.0, -8.0, 8.0, 10.0), 2e-4), ((-8.0, 8.0, 10.0), 2e-3)])
 def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
     """Two runs, a phase each: K to 0.3 ppm and tan_beta to 0.2 %, although the coupling changes with the cube of the rate."""
@@ -78,7 +78,6 @@ TWIN_RECORDS = 1000
 
 
 @pytest.mark.slow
-@pytest.mark.long
 @pytest.mark.parametrize("terms", [campaign.WITH, campaign.WITHOUT], ids=["with", "without"])
 def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
     """The seeds are fixed: 95.2 % with the terms."""
@@ -88,7 +87,6 @@ def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_intervals_of_phi_hold_without_the_terms():
     """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
     figures = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])

@@ -16,10 +16,11 @@ from tests.compensation.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 from tests.compensation.twin_triad import run, spectrum
 
+pytestmark = pytest.mark.interpreted
+
 ROWS = 300 if numba.config.DISABLE_JIT else 3000
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "axes", [orthogonal(), [rotation(a) for a in SKEWED[:3]], [rotation(a) for a in SKEWED]]
 )
@@ -32,7 +33,6 @@ def test_constant_force_comes_back_in_any_mounting(axes):
     assert np.abs(compensated.f[1:] - f[1:]).max() < max(rounding, 1e-13)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("axes", [orthogonal(), [rotation(a) for a in SKEWED]])
 def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
     t = np.arange(ROWS) * 0.01
@@ -45,7 +45,6 @@ def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
     assert np.abs(rows.f - f).max() < 1e-12 * G0
 
 
-@pytest.mark.interpreted
 def test_full_error_model_of_angles():
     t = np.arange(ROWS) * 0.01
     f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (t.size, 1))
@@ -119,7 +118,6 @@ def series_angles(t: np.ndarray, f: np.ndarray, phi: float) -> np.ndarray:
     return np.array(result)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("axes", [orthogonal(), SKEW3, SKEW4])
 def test_smooth_force_comes_back_from_angles_alone(axes):
     """100 Hz: 1e-12 g from the fourth interval on; before that the differences there are."""
@@ -135,7 +133,6 @@ def test_smooth_force_comes_back_from_angles_alone(axes):
     assert (rows.residual[5:] < 1e-12 * G0).all()
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("axes", [orthogonal(), SKEW3, SKEW4])
 def test_the_same_with_error_terms_and_a_base_that_turns_faster_and_faster(axes):
     t = np.arange(SERIES_ROWS) * 0.01
@@ -149,7 +146,6 @@ def test_the_same_with_error_terms_and_a_base_that_turns_faster_and_faster(axes)
     assert error[4:].max() < 1e-11
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("said", [True, False])
 def test_a_gap_begins_the_differences_anew(said):
     t = np.arange(40) * 0.01 + np.where(np.arange(40) < 20, 0.0, 1.0)
@@ -172,7 +168,6 @@ def moving(t: np.ndarray) -> np.ndarray:
     return np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("axes", AXES)
 def test_a_stretch_begins_without_an_increment(axes: str) -> None:
     t = np.arange(40) * 0.01
@@ -191,7 +186,6 @@ def test_a_stretch_begins_without_an_increment(axes: str) -> None:
     assert recorded.flags.tolist() == rows.flags.tolist()
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("axes", AXES)
 def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
     """Up to 0.4 rad in half an interval, the base turning: the mean force of each interval comes back."""
@@ -204,7 +198,6 @@ def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
     assert np.abs(error).max() < 1e-7 * G0
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("count", range(5, 13))
 def test_many_correlated_coefficients(count: int) -> None:
     """``u_ax`` from the whole covariance, against differences of the result itself.
@@ -237,7 +230,6 @@ def test_many_correlated_coefficients(count: int) -> None:
     assert uncertainty[0] > expected[0]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("uneven", [False, True])
 def test_the_first_intervals_of_a_stretch_with_a_square_term(uneven: bool) -> None:
     """A square needs the change of the force over the interval, which the first ones know from one side only."""
@@ -252,7 +244,6 @@ def test_the_first_intervals_of_a_stretch_with_a_square_term(uneven: bool) -> No
     assert error[1:4].max() < 2e-6  # the square alone is 1e-5 g there
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("name", ["k2", "k_YY", "k_ZZ", "k_YZ", "k_XY", "k_XZ"])
 def test_products_of_changing_forces_in_a_set(name: str) -> None:
     """The mean of a product over an interval is not the product of the means: 1e-5 g at 8 g/s."""
@@ -263,7 +254,6 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     assert np.abs(error[2:10]).max() < 3e-6 * G0
 
 
-@pytest.mark.interpreted
 def test_a_first_harmonic_does_not_move_the_phase() -> None:
     """It is as large as the coupling, at another angle: what is known of it is taken out before the phase is sought."""
     t = np.arange(0.0, 30.0, 0.02)
@@ -276,7 +266,6 @@ def test_a_first_harmonic_does_not_move_the_phase() -> None:
     )
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "mounting", [orthogonal(), [rotation(a) for a in SKEWED[:3]]], ids=["orthogonal", "skewed"]
 )

@@ -26,6 +26,8 @@ from piga.instrument import (
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases, linear_records
 
+pytestmark = pytest.mark.interpreted
+
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
 
 
@@ -53,7 +55,6 @@ def dop853(inst, t, f, *, error=lambda _t, _f, _alpha: 0.0, omega=None):
     return np.array(alpha)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("steps", [1, 16])
 def test_constant_input_is_exact_whatever_the_step(steps):
     for case in constant_cases():
@@ -66,7 +67,6 @@ def test_constant_input_is_exact_whatever_the_step(steps):
         assert abs(alpha - reference) < tolerance, case
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("record", range(4))
 def test_fourth_order_against_high_precision(record):
     inst, t, f, reference = linear_records()[record]
@@ -81,7 +81,6 @@ def test_fourth_order_against_high_precision(record):
     assert propagate(inst, fine, force, between="linear")[::400] == pytest.approx(reference, abs=1e-12)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("seed", [1, 2])
 def test_agrees_with_dop853_with_base_rate(seed):
     rng = np.random.default_rng(seed)
@@ -96,14 +95,12 @@ def test_agrees_with_dop853_with_base_rate(seed):
     assert rate == pytest.approx(expected, abs=1e-14)
 
 
-@pytest.mark.interpreted
 def test_constant_base_rate_may_be_given_once():
     t, f = np.linspace(0, 1, 5), np.ones((5, 3))
     once = propagate(INST, t, f, [1e-4, 2e-4, -3e-4], between="linear")
     assert np.array_equal(once, propagate(INST, t, f, np.tile([1e-4, 2e-4, -3e-4], (5, 1)), between="linear"))
 
 
-@pytest.mark.interpreted
 def test_error_model_against_dop853():
     model = ErrorModel(
         k0="2e-3 g", k1=1e-3, k2="2e-3 g/g^2", k3="1e-3 g/g^3", k2o="1e-3 g/g^2", k1a=5e-4, m_Y=1e-3, m_Z=-2e-3,
@@ -136,7 +133,6 @@ def test_error_model_against_dop853():
     assert math.log2(errors[-3] / errors[-2]) == pytest.approx(4.0, abs=0.3)
 
 
-@pytest.mark.interpreted
 def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
     """Without coupling alpha = K integral(e): one step over a whole ramp has the exact integral."""
     inst = Instrument("0.8884 rad/s/g")
@@ -146,7 +142,6 @@ def test_quadratic_terms_of_a_linear_input_are_averaged_exactly():
     assert alpha[-1] == pytest.approx(0.8884 * 2.0 * mean, abs=1e-14)
 
 
-@pytest.mark.interpreted
 def test_turns_are_counted_through_steps_of_many_revolutions():
     inst = Instrument("0.8884 rad/s/g", "1000 arcsec", -100.0)
     t = np.arange(0.0, 5001.0, 100.0)
@@ -158,7 +153,6 @@ def test_turns_are_counted_through_steps_of_many_revolutions():
     assert abs(alpha[-1]) > 13000
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_a_million_samples_do_not_lose_the_angle():
     t = np.arange(1_000_001) * 1e-3
@@ -168,7 +162,6 @@ def test_a_million_samples_do_not_lose_the_angle():
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
 
 
-@pytest.mark.interpreted
 def test_a_thousand_million_turns_before_leave_the_fraction_alone():
     start = 2.0**33  # rad; as a float64 the angle resolves 2e-6 rad here
     turns, rest = split_turns(start)
@@ -193,7 +186,6 @@ records = st.integers(2, 6).flatmap(
 )
 
 
-@pytest.mark.interpreted
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4))
 def test_time_reversal(force, alpha0):
@@ -205,7 +197,6 @@ def test_time_reversal(force, alpha0):
     assert back[::-1] == pytest.approx(alpha, abs=1e-12)
 
 
-@pytest.mark.interpreted
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4), st.floats(-4, 4))
 def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
@@ -221,7 +212,6 @@ def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
     assert turned - turn == pytest.approx(alpha, abs=1e-12)
 
 
-@pytest.mark.interpreted
 @settings(max_examples=40, deadline=None)
 @given(records, st.floats(-4, 4), st.integers(1, 5))
 def test_composition(force, alpha0, cut):
@@ -233,7 +223,6 @@ def test_composition(force, alpha0, cut):
     assert rest == pytest.approx(whole[cut:], abs=1e-13)
 
 
-@pytest.mark.interpreted
 def test_one_sample_and_zero_force():
     assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]], between="linear"), [0.4])
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="linear") == pytest.approx(
@@ -241,7 +230,6 @@ def test_one_sample_and_zero_force():
     )
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 @pytest.mark.parametrize("with_rate", [False, True])
 def test_no_memory_is_taken_beside_the_output(with_rate):
@@ -255,7 +243,6 @@ def test_no_memory_is_taken_beside_the_output(with_rate):
     assert peak - np.asarray(result).nbytes < 100_000
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("t", "f", "kwargs", "message"),
     [
@@ -299,7 +286,6 @@ def reference(t: np.ndarray) -> np.ndarray:
     return solve_ivp(rate, (t[0], t[-1]), [0.4], "DOP853", t, rtol=1e-13, atol=1e-14).y[0]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
 @pytest.mark.parametrize("even", [True, False])
 def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even: bool) -> None:
@@ -313,7 +299,6 @@ def test_increments_of_a_linear_force_lose_the_fifth_order_only(count: int, even
     assert errors[2] < 1e-8
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("h", [0.05, 0.7, 3.0, 20.0])
 def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
     """Steps of many turns are taken one by one: the rate at a sample must still be the one of its own angle."""
@@ -340,7 +325,6 @@ INPUTS = RNG.normal(0.0, 2 * G0, (3, T.size, 3))
 OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("between", ["smooth", "linear"])
 def test_rows_are_single_runs(between):
     shared = propagate_fleet(FLEET, T, INPUTS[0], between=between)
@@ -354,7 +338,6 @@ def test_rows_are_single_runs(between):
     assert np.array_equal(paired, single)
 
 
-@pytest.mark.interpreted
 def test_faults_name_motion_and_index():
     bad = INPUTS.copy()
     bad[2, 5, 1] = math.nan
@@ -377,7 +360,6 @@ def swaying(t):
     return f, v, turn * np.cos(1.7 * t[:, None]), turn * np.sin(1.7 * t[:, None]) / 1.7
 
 
-@pytest.mark.interpreted
 def test_smooth_input_is_of_fourth_order_and_linear_input_of_second():
     """Against exact increments on a grid 32 times finer."""
     errors = {"smooth": [], "linear": []}
@@ -393,14 +375,12 @@ def test_smooth_input_is_of_fourth_order_and_linear_input_of_second():
     assert errors["smooth"][2] < 1e-7 < errors["linear"][2]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_three_samples_show_no_curve(n):
     t, f = np.arange(float(n)), G0 * np.array([[0.2, 1.0, 2.0], [0.5, -1.0, 0.3], [0.1, 2.0, 1.0]])[:n]
     assert propagate(INST, t, f, between="smooth").tolist() == propagate(INST, t, f, between="linear").tolist()
 
 
-@pytest.mark.interpreted
 def test_a_step_of_the_force_does_not_ring():
     """The samples beside a jump are straight: the second derivatives there have opposite signs."""
     t = np.arange(40.0) * 0.1
@@ -415,7 +395,6 @@ def test_an_unknown_way_between_samples_is_refused():
         propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="cubic")
 
 
-@pytest.mark.interpreted
 def test_propagate_and_calibrate_mean_the_same_force_between_samples():
     """Without noise K and k0 come back; with a linear force K was 8.3 ppm and k0 8.3 micro-g off."""
     t = np.arange(0.0, 30.0, 0.01)

@@ -19,6 +19,8 @@ from piga.units import G0
 from tests.instrument.references import constant_cases
 from tests.instrument.test_sampled_motion import dop853
 
+pytestmark = pytest.mark.interpreted
+
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
 
 
@@ -54,7 +56,6 @@ def smooth():
     return t, run.y[0]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("uneven", [False, True])
 def test_increments_are_of_fourth_order(smooth, uneven):
     reference = smooth[1]
@@ -69,7 +70,6 @@ def test_increments_are_of_fourth_order(smooth, uneven):
     assert errors[-1] < 1e-8
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("n", [1, 2, 3, 300])
 def test_constant_increments_are_exact(n):
     t = np.cumsum(np.r_[0.0, np.random.default_rng(n).uniform(0.01, 0.3, n)])
@@ -79,7 +79,6 @@ def test_constant_increments_are_exact(n):
     assert propagate_increments(INST, t, dv, dtheta) == pytest.approx(reference, abs=1e-12)
 
 
-@pytest.mark.interpreted
 def test_segments_are_exact_whatever_their_length():
     for case in constant_cases():
         if case.t < 0.0 or not case.same_tangent:
@@ -92,7 +91,6 @@ def test_segments_are_exact_whatever_their_length():
     assert cut == pytest.approx(whole, abs=2e-11)
 
 
-@pytest.mark.interpreted
 def test_segments_agree_with_dop853_across_jumps():
     rng = np.random.default_rng(11)
     lengths, f = rng.uniform(0.5, 2.0, 6), rng.normal(0.0, 2 * G0, (6, 3))
@@ -113,7 +111,6 @@ def test_segments_agree_with_dop853_across_jumps():
         assert rate[k] == pytest.approx(expected, abs=1e-13)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -15,6 +15,8 @@ from piga.platform.scenario import PigaSensors
 from piga.platform.simulate import TRIPOD, gimbal_angles, locked, read_increments
 from tests.platform.conftest import DEG, EXAMPLES, alignment
 
+pytestmark = pytest.mark.interpreted
+
 PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
 
 
@@ -25,7 +27,6 @@ def _sweep(n=400, step=1.0):
     return t, force
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("mounting", [{"mounting": "orthogonal"}, {"cone": TRIPOD}, {"cone": 0.5}])
 @pytest.mark.parametrize("tan_beta", [3.6e-4, 5e-3])
 def test_the_solved_force_is_the_true_one(mounting, tan_beta):
@@ -39,7 +40,6 @@ def test_the_solved_force_is_the_true_one(mounting, tan_beta):
     assert np.abs(raw - mean).max() > 1.5 * tan_beta
 
 
-@pytest.mark.interpreted
 def test_axes_within_the_latitude_of_the_pole_never_lock():
     angle = np.linspace(0.0, 2 * np.pi, 20001)
     gravity = 9.8 * np.stack(
@@ -60,7 +60,6 @@ def test_axes_within_the_latitude_of_the_pole_never_lock():
     assert share == pytest.approx(expected, rel=0.15)
 
 
-@pytest.mark.interpreted
 def test_the_platforms_own_turn_is_read_and_known():
     t, force = _sweep()
     turn = np.tile([1e-6, -2e-6, 3e-6], (len(t) - 1, 1))
@@ -68,7 +67,6 @@ def test_the_platforms_own_turn_is_read_and_known():
     np.testing.assert_allclose(turned - still, -turn / PIGA.scale_factor, atol=3e-8)
 
 
-@pytest.mark.interpreted
 def test_counting_loses_no_velocity():
     t, force = _sweep()
     counted = msgspec.structs.replace(PIGA, counts_per_revolution=72000.0)
@@ -79,7 +77,6 @@ def test_counting_loses_no_velocity():
     assert np.abs(np.cumsum(off, axis=0)).max() < 2.0 * 2 * np.pi / 72000 / PIGA.scale_factor
 
 
-@pytest.mark.interpreted
 def test_a_step_too_long_is_refused():
     t, force = _sweep(n=20, step=3.0)
     with pytest.raises(ArgumentError, match="third of a turn"):

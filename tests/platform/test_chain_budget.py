@@ -11,6 +11,8 @@ from piga.platform.navigator import Perturbation
 from piga.platform.scenario import Place
 from tests.platform.conftest import INTERPRETED, alignment, published
 
+pytestmark = pytest.mark.interpreted
+
 DURATION = 7200.0 if INTERPRETED else 86400.0
 
 
@@ -22,7 +24,6 @@ def quiet_run():
     return simulate(published(duration=DURATION, step=2.0).without_errors())
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(("name", "perturbation"), SOURCES, ids=[name for name, _ in SOURCES])
 def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbation):
     full, quiet = perturbed_errors(quiet_run, perturbation), perturbed_errors(quiet_run, Perturbation())
@@ -37,7 +38,6 @@ def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbatio
     assert np.abs(velocity[:, :2] - linear[:, 4:6]).max() < 0.02 * np.abs(velocity[:, :2]).max()
 
 
-@pytest.mark.interpreted
 def test_a_tilt_swings_with_the_schuler_period():
     history = linear_errors(Place(0.7), Perturbation(velocity=(0.01, 0.0, 0.0)), 5400.0, step=5.0)
     north = history[:, 1]
@@ -46,7 +46,6 @@ def test_a_tilt_swings_with_the_schuler_period():
     assert north.max() == pytest.approx(0.01 / 1.2394e-3, rel=0.02)
 
 
-@pytest.mark.interpreted
 def test_the_budget_lists_every_source_and_their_sum():
     sources = dict(SOURCES[:2])
     rows = error_budget(published(duration=3600.0, step=10.0), sources)

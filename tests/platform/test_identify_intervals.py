@@ -16,11 +16,10 @@ from tests.platform.conftest import (
     AT_SEA,
     NOISE,
     calibration,
-    long,
     truth,
 )
 
-pytestmark = pytest.mark.interpreted
+pytestmark = [pytest.mark.interpreted, pytest.mark.long]
 
 ANGLES, FORCE = ("gimbals", "pick-off"), ("force", "pick-off")
 CASES = {
@@ -70,14 +69,12 @@ def _hold(scores, nees, sigmas, margin=0.0):
     assert abs(nees.mean() / unknowns - 1.0) < sigmas * np.sqrt(2.0 / (n * unknowns)) + margin
 
 
-@long
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold(case):
     scores, nees = _scores(case, range(20))
     _hold(scores, nees, 4.0)
 
 
-@long
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_hold_in_ten_thousand_runs(case):
@@ -141,7 +138,6 @@ def _bound(s, sources):
     return np.sqrt(np.diag(np.linalg.inv(free.T @ free)))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("sources", [ANGLES, FORCE])
 def test_every_uncertainty_is_the_cramer_rao_bound(sources):
     """Angles, phases and harmonics. The force is held to the bound of a base *known* to be at rest."""

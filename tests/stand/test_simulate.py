@@ -25,8 +25,9 @@ from piga.units import G0
 from tests.instrument.servo_truth import Design, motion
 from tests.stand.simulated import COUNTS, HEAD, INST, SITE
 
+pytestmark = pytest.mark.interpreted
 
-@pytest.mark.interpreted
+
 def test_log_holds_what_the_gimbal_did():
     test = simulate_test(HEAD, Specimen(INST), COUNTS)
     assert test.log.labels == ("0", "1", "2", "3")
@@ -38,7 +39,6 @@ def test_log_holds_what_the_gimbal_did():
     assert np.all(test.log.reference == test.profile.reference[rows])
 
 
-@pytest.mark.interpreted
 def test_harmonics_of_the_gimbal_angle_enter_the_motion():
     """Second harmonic by iteration, against a direct integration."""
     harmonics = {1: (2e-3, 1e-3), 2: (3e-3, -1e-3)}
@@ -56,7 +56,6 @@ def test_harmonics_of_the_gimbal_angle_enter_the_motion():
     assert test.alpha[-1] == pytest.approx(truth.y[0, -1], abs=1e-8)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("level", [1.0, 6.0])
 def test_servo_terms_enter_the_motion_as_the_rigid_body_has_them(level):
     """The angle over 5 s at 45 deg, against rotor, float and servo integrated by SciPy; gravity 1 g and 6 g."""
@@ -74,7 +73,6 @@ def test_servo_terms_enter_the_motion_as_the_rigid_body_has_them(level):
     assert off["with"] < 0.02 * off["without"]
 
 
-@pytest.mark.interpreted
 def test_random_walk_enters_the_motion_exactly():
     """With rate noise the walked angle acts as phase: against an integration with the same increments."""
     stand = DividingHead(SITE, (1.0,), dwell=10.0, move=1.0)
@@ -98,7 +96,6 @@ def test_random_walk_enters_the_motion_exactly():
     assert test.alpha == pytest.approx(np.array(alpha), abs=1e-4)
 
 
-@pytest.mark.interpreted
 def test_clock_errors_shift_the_samples():
     late = simulate_test(HEAD, Specimen(INST), replace(COUNTS, kind="angle", clock_offset=0.02))
     plain = simulate_test(HEAD, Specimen(INST), replace(COUNTS, kind="angle"))
@@ -112,7 +109,6 @@ def test_clock_errors_shift_the_samples():
     assert np.all(fast.log.t == plain.log.t)
 
 
-@pytest.mark.interpreted
 def test_temperature_is_felt_and_logged_with_its_error():
     specimen = Specimen(INST, ErrorModel(k0_T="1e-4 g/K"))
     warm = simulate_test(
@@ -129,7 +125,6 @@ def test_temperature_is_felt_and_logged_with_its_error():
     )
 
 
-@pytest.mark.interpreted
 def test_flicker_has_the_same_variance_in_each_decade():
     rng, spectra = np.random.default_rng(4), []
     for _ in range(20):
@@ -140,7 +135,6 @@ def test_flicker_has_the_same_variance_in_each_decade():
     assert np.sqrt(decades) == pytest.approx(3.0, rel=0.05)
 
 
-@pytest.mark.interpreted
 def test_markov_noise_forgets_in_its_time():
     noise = markov_noise(np.random.default_rng(5), 400_000, 0.05, 2.0, 5.0)
     assert noise.std() == pytest.approx(2.0, rel=0.03)
@@ -148,7 +142,6 @@ def test_markov_noise_forgets_in_its_time():
     assert noise[0] != 0.0
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "coloured",
     [{"bias_flicker": 1e-4}, {"bias_markov": 1e-4, "bias_markov_time": 5.0}],
@@ -167,7 +160,6 @@ def test_coloured_bias_turns_the_output(coloured: dict[str, float], kind: str):
     )
 
 
-@pytest.mark.interpreted
 def test_bias_walk_and_rate_output():
     e = Electronics(sample_rate=10.0, kind="rate", bias_random_walk=1e-3)
     walked = simulate_test(HEAD, Specimen(INST), e)
@@ -176,7 +168,6 @@ def test_bias_walk_and_rate_output():
     assert plain.log.output[0] == pytest.approx(plain.rate[0])
 
 
-@pytest.mark.interpreted
 def test_twin_takes_k_beta_and_start_from_the_instrument():
     specimen = Specimen(INST, twin=PRESETS["example"])
     assert (specimen.design.K, specimen.design.pick_off_null, specimen.design.alpha0) == (
@@ -191,7 +182,6 @@ def test_twin_takes_k_beta_and_start_from_the_instrument():
     assert test.rate[-1] == pytest.approx(INST.scale_factor * 9.80166, rel=1e-4)
 
 
-@pytest.mark.interpreted
 def test_twin_refuses_what_it_cannot_do():
     with pytest.raises(ArgumentError, match=r"needs \[twin\] parameters"):
         simulate_test(HEAD, Specimen(INST), COUNTS, model="twin")
@@ -204,7 +194,6 @@ def test_twin_refuses_what_it_cannot_do():
         simulate_test(HEAD, Specimen(INST, ErrorModel(s1=1e-3), twin=PRESETS["example"]), COUNTS, model="twin")
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_unstable_design_runs_when_forced():
     unstable = Specimen(INST, twin=replace(PRESETS["example"], proportional_gain=120.0))
@@ -213,7 +202,6 @@ def test_unstable_design_runs_when_forced():
     assert np.all(np.isfinite(test.alpha))
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_random_walk_of_the_twin_has_the_stated_level():
     stand = DividingHead(SITE, (0.0,), dwell=2.0, move=1.0)

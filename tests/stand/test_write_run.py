@@ -27,6 +27,8 @@ from piga.stand.write_run import (
 )
 from tests.stand.simulated import SCENARIO, saved, truth_of, written
 
+pytestmark = pytest.mark.interpreted
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -37,7 +39,6 @@ SCENARIOS = [
 ]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda p: p.stem)
 def test_examples_are_valid(path):
     scenario = read_scenario(path)
@@ -45,7 +46,6 @@ def test_examples_are_valid(path):
     assert scenario.stand.segments()
 
 
-@pytest.mark.interpreted
 def test_run_file_truth_and_data_belong_together(tmp_path):
     scenario = read_scenario(written(tmp_path))
     test = run_scenario(scenario)
@@ -64,7 +64,6 @@ def test_run_file_truth_and_data_belong_together(tmp_path):
     assert table["model"] == {"terms": ["scale_factor", "tan_beta", "k0"], "phases": "shared"}
 
 
-@pytest.mark.interpreted
 def test_servo_terms_are_prescribed_to_the_quasi_steady_model_and_predicted_of_the_twin(tmp_path):
     own = 'servo = "13 ug/g^3"\nservo_damping = "5 ug/g^3"\nk0 = "3e-4 g"'
     path = written(tmp_path, terms=('k0 = "3e-4 g"', own))
@@ -91,7 +90,6 @@ SERVO = (
 INSTRUMENT = "[instrument]\n"
 
 
-@pytest.mark.interpreted
 def test_given_servo_goes_into_the_run_file(tmp_path):
     own = 'servo = "13 ug/g^3"\nservo_damping = "13 ug/g^3"\nk0 = "3e-4 g"'
     path = written(tmp_path, terms=('k0 = "3e-4 g"', own), servo=(INSTRUMENT, INSTRUMENT + SERVO))
@@ -108,7 +106,6 @@ def test_given_servo_goes_into_the_run_file(tmp_path):
     }
 
 
-@pytest.mark.interpreted
 def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000", "-1")))
     with pytest.raises(RunFileError, match=r"integral_gain: must be positive") as refused:
@@ -116,7 +113,6 @@ def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
     assert str(path) in str(refused.value)
 
 
-@pytest.mark.interpreted
 def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_path):
     text = (EXAMPLES / "rate-table.toml").read_text(encoding="utf-8")
     path = tmp_path / "s.toml"
@@ -127,7 +123,6 @@ def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_pat
     assert "ramp" in str(refused.value)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
@@ -143,7 +138,6 @@ def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
         assert abs(math.remainder(c.value - truth["phi", c.segment], 2 * math.pi)) < 5 * c.std
 
 
-@pytest.mark.interpreted
 def test_csv_holds_the_same_as_parquet(tmp_path):
     from pyarrow import csv
 
@@ -154,7 +148,6 @@ def test_csv_holds_the_same_as_parquet(tmp_path):
         assert np.array_equal(table[name].to_numpy(), own[name].to_numpy())
 
 
-@pytest.mark.interpreted
 def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
     noisy = written(tmp_path, noise=('zero = "0.5 rad"', 'angle_noise = "1e-4 rad"\nclock_jitter = "1 us"'))
     scenario = read_scenario(noisy)
@@ -165,7 +158,6 @@ def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
     assert a != c
 
 
-@pytest.mark.interpreted
 def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
     path = written(
         tmp_path, more=('k0 = "3e-4 g"', 'k0 = "3e-4 g"\ns2 = "1e-3 g"\nc2 = "-5e-4 g"\ns1 = "1e-4 g"')
@@ -180,7 +172,6 @@ def test_harmonics_are_true_in_the_zero_of_the_output(tmp_path):
     assert math.hypot(truth["s1", None], truth["c1", None]) == pytest.approx(1e-4)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_negative_beta_turns_the_phase(tmp_path):
     path = written(tmp_path, beta=('beta = "74 arcsec"', 'beta = "-74 arcsec"'))
@@ -193,7 +184,6 @@ def test_negative_beta_turns_the_phase(tmp_path):
     )
 
 
-@pytest.mark.interpreted
 def test_drawn_imperfections_come_from_the_seed(tmp_path):
     extra = '\n[imperfections]\nreference_scale = "10 ppm"\n[run]\nimperfections = "drawn"\n'
     scenario = read_scenario(written(tmp_path, SCENARIO + extra))
@@ -201,7 +191,6 @@ def test_drawn_imperfections_come_from_the_seed(tmp_path):
     assert values[0] == values[1] != values[2]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -226,7 +215,6 @@ def test_scenario_errors_name_file_and_key(tmp_path, old, new, words):
     assert "scenario.toml" in str(caught.value)
 
 
-@pytest.mark.interpreted
 def test_errors_while_running_name_the_file(tmp_path):
     path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "0.3 Hz"'))
     with pytest.raises(PigaError, match=r"scenario.toml: segment 'move to 1' lasts"):

@@ -12,6 +12,8 @@ from piga.platform.simulate import TRIPOD
 from piga.studies.capstone import capstone
 from tests.platform.conftest import DEG, long, published
 
+pytestmark = pytest.mark.interpreted
+
 PIGA = PigaSensors(0.8884 / 9.80665, np.arctan(3.6e-4), mounting="skewed", cone=TRIPOD)
 
 
@@ -25,7 +27,6 @@ def _capstone_scenario(**changes):
     return published(**(values | changes))
 
 
-@pytest.mark.interpreted
 @long
 def test_the_story_of_the_capstone():
     result = capstone(_capstone_scenario(duration=2 * 86400.0))
@@ -38,7 +39,6 @@ def test_the_story_of_the_capstone():
     assert result.outcomes["raw skewed"].locked_per_day.max() == 0.0
 
 
-@pytest.mark.interpreted
 @long
 def test_a_passage_leaves_what_stationary_phase_says():
     """The starting angle is one for which the phase at the passage is near its worst."""
@@ -52,7 +52,6 @@ def test_a_passage_leaves_what_stationary_phase_says():
     assert p.lock_time > 20.0 * p.locked.sum() * step
 
 
-@pytest.mark.interpreted
 def test_the_capstone_needs_gyro_accelerometers():
     with pytest.raises(ArgumentError, match="accelerometers = 'piga'"):
         capstone(published(duration=1200.0, step=4.0))

@@ -16,6 +16,8 @@ from tests.compensation.twin_data import (
     run_of,
 )
 
+pytestmark = pytest.mark.interpreted
+
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4})
 SECONDS = 4.0 if numba.config.DISABLE_JIT else 20.0
 
@@ -26,7 +28,6 @@ def smooth(t: np.ndarray) -> np.ndarray:
     return G0 * np.stack([a, 5.0 + 0.05 * t, 0.4 - 0.03 * t], axis=1)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
 def test_smooth_force_comes_back_to_1e12_g(rate):
     """From the fourth interval on, plus the rounding of the angle; 3e-11 g at 50 Hz."""
@@ -37,7 +38,6 @@ def test_smooth_force_comes_back_to_1e12_g(rate):
     assert left.max() < (4e-11 if rate < 100.0 else 2e-12) * G0 + 2.0 * rounding
 
 
-@pytest.mark.interpreted
 def test_uneven_intervals_cost_the_higher_differences_only():
     rng = np.random.default_rng(3)
     t = np.cumsum(0.01 * (1.0 + 0.2 * rng.random(500)))

@@ -12,6 +12,8 @@ from piga.records.calibration.coefficient import is_of_reference
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, UncertaintyTable
 from tests.calibration.made.servo_data import TERMS, TRUTH, head, levels, recorded
 
+pytestmark = pytest.mark.long
+
 PLAIN = TERMS[:5]
 MEANING = "meaning of the cubic signature: servo or k3"
 UNNAMED = "servo that is not named"
@@ -41,7 +43,6 @@ def half_width(result, source, key="scale_factor"):
     return abs(rows[0].contributions[key]) * np.sqrt(3.0)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("stored", [False, True], ids=["records", "summary"])
 def test_two_heads_hold_both_meanings_of_a_cube(stored):
     runs = two_heads(d=0.0)
@@ -60,7 +61,6 @@ def test_two_heads_hold_both_meanings_of_a_cube(stored):
     assert not is_of_reference(MEANING)
 
 
-@pytest.mark.long
 def test_two_heads_without_a_servo_hold_what_they_do_not_exclude():
     """K is off by s g^2/4 where the positions go round."""
     calibration = calibrate(two_heads(s=0.0, d=0.0), PLAIN)
@@ -76,7 +76,6 @@ def test_two_heads_without_a_servo_hold_what_they_do_not_exclude():
     assert not any("cube" in note or "servo" in note for note in calibration.notes)
 
 
-@pytest.mark.long
 def test_two_heads_whose_damping_turns_the_phase():
     calibration = calibrate(two_heads(), [*PLAIN, "servo"])
     phases = [c for c in calibration.coefficients if c.name == "phi"]
@@ -86,7 +85,6 @@ def test_two_heads_whose_damping_turns_the_phase():
     assert any("Add 'servo_damping'" in note for note in calibration.notes)
 
 
-@pytest.mark.long
 def test_head_and_centrifuge_tell_what_the_model_lacks():
     runs = [
         noisy(head(8), "head", seconds=8.0),

@@ -12,6 +12,8 @@ from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.scenarios import SCENARIOS, Scenario, tumble
 from tests.calibration.made.synthetic_terms import TERMS, around, with_term
 
+pytestmark = pytest.mark.long
+
 EVERYWHERE = Scenario("everywhere", around(), white=2.5e-5, walk=2e-5, terms=TERMS)
 SIZES = {
     "k2": 2e-4, "k3": 2e-4, "k2o": 2e-4, "m_Y": 2e-4, "m_Z": 2e-4, "k_XY": 2e-4, "k_XZ": 2e-4, "k_YY": 2e-4,
@@ -19,7 +21,6 @@ SIZES = {
 }  # fmt: skip
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", SIZES)
 def test_every_signature_is_recognised(name):
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), name, SIZES[name])
@@ -36,7 +37,6 @@ def test_every_signature_is_recognised(name):
     assert name not in [c.name for c in calibration.coefficients]
 
 
-@pytest.mark.long
 def test_a_term_that_moves_nothing_by_more_than_u_is_no_doubt():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     wide = replace(run, uncertainty=UncertaintyTable(reference_scale="0.1 %", reference_bias="1 mg"))
@@ -47,7 +47,6 @@ def test_a_term_that_moves_nothing_by_more_than_u_is_no_doubt():
         assert doubts or "signature of a missing term" in " ".join(result.remarks)
 
 
-@pytest.mark.long
 def test_the_bias_is_missed_too():
     run = EVERYWHERE.record(np.random.default_rng(5))
     calibration = piga.calibrate(run, ("scale_factor", "tan_beta"))
@@ -56,7 +55,6 @@ def test_the_bias_is_missed_too():
     assert first.estimate[0] == pytest.approx(1.6e-3, abs=5.0 * first.standard_uncertainty[0])
 
 
-@pytest.mark.long
 def test_the_coupling_is_missed_too():
     run = replace(EVERYWHERE, forces=around(6), seconds=6.0).record(np.random.default_rng(6))
     first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics.missing_terms[0]
@@ -64,14 +62,12 @@ def test_the_coupling_is_missed_too():
     assert first.estimate[0] == pytest.approx(3.6e-4, rel=0.05)
 
 
-@pytest.mark.long
 def test_two_missing_terms_are_both_found():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     calibration = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
     assert [m.terms for m in calibration.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
 
 
-@pytest.mark.long
 def test_adding_the_term_ends_the_suggestion_and_confirms_its_size():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
@@ -81,7 +77,6 @@ def test_adding_the_term_ends_the_suggestion_and_confirms_its_size():
     assert first.estimate[0] == pytest.approx(added.value, abs=2.0 * first.standard_uncertainty[0])
 
 
-@pytest.mark.long
 def test_what_the_model_cannot_tell_apart_is_not_suggested():
     """On a tumble at one level k_YY is k0 and k2 again."""
     run = SCENARIOS["static"].record(np.random.default_rng(3))
@@ -91,7 +86,6 @@ def test_what_the_model_cannot_tell_apart_is_not_suggested():
     assert not piga.calibrate(run, SCENARIOS["static"].terms).diagnostics.missing_terms
 
 
-@pytest.mark.long
 def test_errors_of_single_positions_are_not_taken_for_a_term():
     """Random errors of the head, far above the noise, look like any term; the scatter test knows."""
     alarms = 0
@@ -105,7 +99,6 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
     assert alarms == 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["static", "centrifuge", "white", "walk"])
 def test_a_right_model_gets_no_suggestion(name):
     scenario = SCENARIOS[name]
@@ -119,7 +112,6 @@ WARMING = Bench(
 """A bench that warms up by 3 K, and a bias that follows it."""
 
 
-@pytest.mark.long
 def test_a_bias_that_follows_the_temperature_is_suggested():
     """Of temperature and time, which explain much the same here, the one that was recorded for it comes first."""
     for warmth in (WARMING.warmth, lambda t: 3.0 * t / 400.0):
@@ -130,7 +122,6 @@ def test_a_bias_that_follows_the_temperature_is_suggested():
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_a_temperature_that_does_nothing_is_not_suggested():
     """200 sound records with a temperature: at most 1 %; 40 in which the bias follows it: at least 95 %."""
 

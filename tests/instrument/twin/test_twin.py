@@ -26,6 +26,8 @@ from piga.instrument.twin.run import run_twin
 from piga.units import G0
 from tests.instrument.rigid_body import RICH, accelerations, solve
 
+pytestmark = pytest.mark.interpreted
+
 SLOW_PYTHON = bool(numba.config.DISABLE_JIT)
 
 
@@ -67,7 +69,6 @@ def revolutions(p, a_x, a_t, count, step=2e-3):
 # -- equations ------------------------------------------------------------------------------------
 
 
-@pytest.mark.interpreted
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
 def test_equations_are_those_of_a_rigid_body(seed):
@@ -83,7 +84,6 @@ def test_equations_are_those_of_a_rigid_body(seed):
     assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
     """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
@@ -109,7 +109,6 @@ def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
 # -- integration ----------------------------------------------------------------------------------
 
 
-@pytest.mark.interpreted
 def test_motion_agrees_with_the_independent_rigid_body():
     t = np.linspace(0.0, 0.05, 51)
     force, omega = ramp_inputs(t)
@@ -119,7 +118,6 @@ def test_motion_agrees_with_the_independent_rigid_body():
     assert motion.beta[::10] == pytest.approx(truth[:, 1], abs=1e-12)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "method", [pytest.param("DOP853", marks=pytest.mark.long), pytest.param("Radau", marks=pytest.mark.slow)]
 )
@@ -142,7 +140,6 @@ def test_ten_seconds_against_scipy(method):
     assert motion.local_error < 1e-9
 
 
-@pytest.mark.interpreted
 @pytest.mark.slow
 def test_ten_seconds_against_the_independent_rigid_body():
     t = np.linspace(0.0, 10.0, 10001)
@@ -152,7 +149,6 @@ def test_ten_seconds_against_the_independent_rigid_body():
     assert np.max(np.abs(motion.alpha[::500] - truth[:, 0])) < 1e-9
 
 
-@pytest.mark.interpreted
 def test_sampling_does_not_matter_for_linear_inputs():
     t = np.linspace(0.0, 0.2, 201)
     fine = run_twin(RICH, t, *ramp_inputs(t), start="transient")
@@ -163,7 +159,6 @@ def test_sampling_does_not_matter_for_linear_inputs():
 # -- slow manifold ---------------------------------------------------------------------------------
 
 
-@pytest.mark.interpreted
 def test_slow_manifold_has_no_transient():
     """Started on it, the tilt follows its slow ripple at once; started at null it rings first."""
     p = replace(EXAMPLE, alpha0=0.7)
@@ -177,7 +172,6 @@ def test_slow_manifold_has_no_transient():
 # -- what theory predicts ----------------------------------------------------------------------------
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     """All gains times s: the difference to the quasi-steady angle falls as 1/s."""
@@ -193,7 +187,6 @@ def test_stiff_servo_goes_to_the_quasi_steady_model_with_first_order():
     assert order == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 @pytest.mark.parametrize("k_i", np.geomspace(600.0, 6000.0, 5))
 def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
@@ -212,7 +205,6 @@ def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
@@ -226,7 +218,6 @@ def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
     assert abs(fit) == pytest.approx(amplitude, rel=0.05)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     friction = 2e-3
@@ -243,7 +234,6 @@ def test_coulomb_friction_shifts_beta_not_the_mean_rate():
     assert np.mean(motion_2.beta[:500] - motion_3.beta[:500]) == pytest.approx(0.0, abs=1e-8)
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     "design",
     [
@@ -267,7 +257,6 @@ def test_k2_comes_from_the_floats_inertia(design):
         )
 
 
-@pytest.mark.interpreted
 def test_wheel_spins_up_and_hunts_by_definition():
     """``H (1 - (1 - s0) exp(-t/t_s)) (1 + h sin(2 pi f t + phi))`` and its derivative by a central difference."""
     p = replace(
@@ -283,7 +272,6 @@ def test_wheel_spins_up_and_hunts_by_definition():
         assert change == pytest.approx((defined(t + 1e-5) - defined(t - 1e-5)) / 2e-5, rel=1e-6)
 
 
-@pytest.mark.interpreted
 def test_wheel_speed_changes_the_scale_factor():
     p = replace(EXAMPLE, spin_start=0.8, spin_time=0.1, hunting=1e-3, hunting_frequency=5.0)
     t, f, _ = constant((G0, 0.0, 0.0), 0.4, 1e-3)
@@ -293,7 +281,6 @@ def test_wheel_speed_changes_the_scale_factor():
     assert H[0] == pytest.approx(0.08)
 
 
-@pytest.mark.interpreted
 @pytest.mark.long
 def test_saturated_torque_motor_loses_lock_and_recovers():
     p = replace(EXAMPLE, torque_limit=0.03, pick_off_range=5e-3, stop_angle=0.02)
@@ -312,7 +299,6 @@ def test_saturated_torque_motor_loses_lock_and_recovers():
     assert abs(motion.beta[-1]) < 1e-5
 
 
-@pytest.mark.interpreted
 def test_noise_is_held_and_disturbs():
     t, f, omega = constant((G0, 0.0, 0.0), 0.5)
     noise = np.zeros((t.size, 3))
@@ -324,14 +310,12 @@ def test_noise_is_held_and_disturbs():
 # -- parameters and errors ----------------------------------------------------------------------------
 
 
-@pytest.mark.interpreted
 def test_parameters_from_text():
     p = twin_parameters({"preset": "example-stiff", "damping": "0.3 Nm s/rad", "hunting_frequency": "2 Hz"})
     assert (p.damping, p.hunting_frequency) == (0.3, 2.0)
     assert p.proportional_gain == PRESETS["example-stiff"].proportional_gain
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize(
     ("values", "words"),
     [
@@ -347,7 +331,6 @@ def test_bad_parameters_are_named(values, words):
         twin_parameters(values)
 
 
-@pytest.mark.interpreted
 def test_bad_inputs_are_named():
     t, f, omega = constant((G0, 0.0, 0.0), 0.01)
     with pytest.raises(ArgumentError, match=r"t: 0.009.* at index 1 is not after 0.01 s"):
@@ -362,7 +345,6 @@ def test_bad_inputs_are_named():
         run_twin(EXAMPLE, t, f, start="cold")
 
 
-@pytest.mark.interpreted
 def test_unstable_design_has_no_manifold_but_can_be_forced():
     p = TwinParameters(proportional_gain=150.0)
     t, f, _ = constant((G0, G0, 0.0), 0.05)
