@@ -1,4 +1,4 @@
-"""Equality, hashes, pickles and copies of results."""
+"""Equality of results."""
 
 from __future__ import annotations
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import contextlib
 import datetime as dt
-import random
 import re
 
 import pytest
 
 from piga.errors import DataError, PigaError
 from tests.certificate.certificate_data import complete, key_pair
+from tests.formats.test_formats_fuzz import mutated, seeded
 
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
@@ -245,19 +245,8 @@ def test_force_at_a_time(signed, keys, tmp_path):
 
 
 def mutations(raw, count, seed):
-    rng = random.Random(seed)
-    for _ in range(count):
-        at = rng.randrange(len(raw))
-        kind = rng.randrange(4)
-        if kind == 0:
-            yield raw[:at] + bytes([raw[at] ^ (1 << rng.randrange(8))]) + raw[at + 1 :]
-        elif kind == 1:
-            yield raw[:at] + raw[at + 1 :]
-        elif kind == 2:
-            yield raw[:at] + bytes([rng.randrange(256)]) + raw[at:]
-        else:
-            end = min(len(raw), at + rng.randrange(1, 40))
-            yield raw[:at] + raw[at:end][::-1] + raw[end:]
+    draw = seeded(seed)
+    return (mutated(raw, draw) for _ in range(count))
 
 
 def hunt(mutants, cal, keys, tmp_path):

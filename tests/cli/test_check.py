@@ -34,12 +34,7 @@ def dirty(folder: Path) -> Path:
 
 def test_everything_in_one_pass_with_a_page(tmp_path: Path) -> None:
     text = " ".join(run_command("check", dirty(tmp_path), "--out", tmp_path / "page").split())
-    for words in (
-        "missing-value 1 7",
-        "gap",
-        "repeated-row 1",
-        "Calibration: information, 2 terms",
-    ):
+    for words in ("missing-value 1 7", "gap", "repeated-row 1", "Calibration: information, 2 terms"):
         assert words in text
     page = (tmp_path / "page" / "check.html").read_text(encoding="utf-8")
     for words in ("missing-value", "interval [s]", "specific force [g]", "output [rev]", "SHA-256"):

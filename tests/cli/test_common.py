@@ -1,4 +1,4 @@
-"""Output of commands: terminals that lack characters, closed and full ends, results by rename, words of options."""
+"""Output of commands: terminals that lack characters, closed and full ends, results by rename."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,60 +13,52 @@ import pytest
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
-from tests.cli.runner import exit_code
+from tests.cli.runner import outcome
 from tests.ledger.store.drafts import add, filled
 from tests.ledger.test_reproduce import small_run
 from tests.reports.example import calibration
 
-
-class Command:
-    """Runs ``piga records ...`` in this process, in a folder, as the entry point does."""
-
-    def __init__(self, folder: Path, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
-        self.capture = capture
-        patch.chdir(folder)
-        patch.delenv("PIGA_STORE", raising=False)
-
-    def __call__(self, *arguments: object) -> tuple[int, str, str]:
-        code = exit_code("records", *arguments)
-        output = self.capture.readouterr()
-        return code, output.out, output.err
-
-    def ok(self, *arguments: object) -> str:
-        code, out, err = self(*arguments)
-        assert code == 0, err
-        return out
+Command = Callable[..., tuple[int, str, str]]
+LAB = ("--store", "lab.sqlite")
+WHO = ("--operator", "A. Meyer", "--reason", "yearly")
 
 
 @pytest.fixture
 def records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    return Command(tmp_path, monkeypatch, capsys)
+    """Run ``piga records ...`` in a folder: exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PIGA_STORE", raising=False)
+    return lambda *words: outcome(capsys, "records", *words)
+
+
+def ok(records: Command, *words: object) -> str:
+    code, out, err = records(*words)
+    assert code == 0, err
+    return out
 
 
 @pytest.mark.long
 def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     small_run(tmp_path)
-    lab = ("--store", "lab.sqlite")
-    who = ("--operator", "A. Meyer", "--reason", "yearly")
-    added = json.loads(records.ok("add", "run.toml", *lab, *who, "--no-report", "--json"))
+    added = json.loads(ok(records, "add", "run.toml", *LAB, *WHO, "--no-report", "--json"))
     name, head = added["id"], added["head"]
-    assert name in records.ok("list", *lab)
-    shown = records.ok("show", name, *lab, "--extract", "x")
+    assert name in ok(records, "list", *LAB)
+    shown = ok(records, "show", name, *LAB, "--extract", "x")
     assert "scale_factor" in shown
     assert head in shown
     assert (tmp_path / "x" / "results" / "calibration.json").exists()
-    assert "identical to the bit" in records.ok("reproduce", *lab)
-    assert "known head" in records.ok("verify", *lab, "--head", head)
-    assert head in records.ok("export", "lab.zip", *lab)
-    assert json.loads(records.ok("verify", "lab.zip", "--json"))["sound"] is True
-    taken = json.loads(records.ok("import", "lab.zip", "--store", "b.sqlite", *who, "--json"))
+    assert "identical to the bit" in ok(records, "reproduce", *LAB)
+    assert "known head" in ok(records, "verify", *LAB, "--head", head)
+    assert head in ok(records, "export", "lab.zip", *LAB)
+    assert json.loads(ok(records, "verify", "lab.zip", "--json"))["sound"] is True
+    taken = json.loads(ok(records, "import", "lab.zip", "--store", "b.sqlite", *WHO, "--json"))
     assert taken["added"] == [name]
-    same = records.ok("diff", "1", name, *lab)
+    same = ok(records, "diff", "1", name, *LAB)
     assert re.search(r"k0 +0 \+/- [\d.]+ +ug +0\.00 u", same), same
-    assert f"  {name}: {TYPE_A_ONLY}" in records.ok("diff", "1", name, *lab)
-    assert json.loads(records.ok("diff", "1", name, *lab, "--json"))["notes"] == [f"{name}: {TYPE_A_ONLY}"]
-    assert head in records.ok("backup", "copy.sqlite", *lab)
-    assert head in records.ok("restore", "copy.sqlite", "--store", "c.sqlite")
+    assert f"  {name}: {TYPE_A_ONLY}" in ok(records, "diff", "1", name, *LAB)
+    assert json.loads(ok(records, "diff", "1", name, *LAB, "--json"))["notes"] == [f"{name}: {TYPE_A_ONLY}"]
+    assert head in ok(records, "backup", "copy.sqlite", *LAB)
+    assert head in ok(records, "restore", "copy.sqlite", "--store", "c.sqlite")
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"run.csv", "run.toml", "x", "lab.sqlite", "lab.zip", "b.sqlite", "copy.sqlite", "c.sqlite"}
 
@@ -74,7 +67,7 @@ def test_a_list_says_what_is_superseded(tmp_path: Path, records: Command) -> Non
     with filled(tmp_path / "a.sqlite", 2) as store:
         first, second = (record.id for record in store.records())
         last = add(store, "c", supersedes=first)
-    lines = records.ok("list", "--store", "a.sqlite").splitlines()
+    lines = ok(records, "list", "--store", "a.sqlite").splitlines()
     marked = {
         name: line.endswith("superseded") for name in (first, second, last) for line in lines if name in line
     }
@@ -89,10 +82,10 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         for one in (first, second):
             files = (DraftFile("calibration", "calibration.json", calibration_to_bytes(one)),)
             store.append(lambda _place, files=files: Draft(first.serial, "A", "r", files))  # type: ignore[misc]
-    change = json.loads(records.ok("diff", "1", "2", "--store", "a.sqlite", "--json"))["coefficients"][0]
+    change = json.loads(ok(records, "diff", "1", "2", "--store", "a.sqlite", "--json"))["coefficients"][0]
     assert change["std"] == pytest.approx(moved.std * 2**0.5)
     assert change["ratio"] == pytest.approx(3.0 / 2**0.5)
-    assert f"{change['ratio']:+.2f} u" in records.ok("diff", "1", "2", "--store", "a.sqlite")
+    assert f"{change['ratio']:+.2f} u" in ok(records, "diff", "1", "2", "--store", "a.sqlite")
 
 
 @pytest.mark.parametrize(
@@ -142,21 +135,10 @@ def test_what_is_superseded_is_checked_before_the_work(
 ) -> None:
     """By number or name; a record that is not there, of another instrument or corrected already is refused at once."""
     small_run(tmp_path)
-    add_again = (
-        "add",
-        "run.toml",
-        "--store",
-        "lab.sqlite",
-        "--operator",
-        "A. Meyer",
-        "--reason",
-        "yearly",
-        "--no-report",
-        "--json",
-    )
-    first = json.loads(records.ok(*add_again))["id"]
-    second = json.loads(records.ok(*add_again, "--supersedes", "1"))["id"]
-    shown = records.ok("show", second, "--store", "lab.sqlite")
+    add_again = ("add", "run.toml", *LAB, *WHO, "--no-report", "--json")
+    first = json.loads(ok(records, *add_again))["id"]
+    second = json.loads(ok(records, *add_again, "--supersedes", "1"))["id"]
+    shown = ok(records, "show", second, "--store", "lab.sqlite")
     assert first in shown
 
     def work(*_arguments: object, **_options: object) -> None:

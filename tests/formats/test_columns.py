@@ -1,4 +1,4 @@
-"""Arrow columns as float64: every kind of number, nulls, slices; without Arrow's compute functions."""
+"""Arrow columns as float64: every kind of number, nulls, slices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrow columns: the same as the general way in makes, without loading pandas."""
+"""Parquet files: the units of what is written, and pages that were altered."""
 
 from __future__ import annotations
 

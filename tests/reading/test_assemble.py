@@ -50,11 +50,7 @@ def test_counters_that_wrap(tmp_path: Path, bits: int) -> None:
         cells[1] = str((start + int(cells[1])) % 2**bits)
         rows.append(",".join(cells) + f",{i // 20}")
     run = read(
-        tmp_path,
-        rows,
-        header="t,n,fx,fy,fz,seg",
-        instrument=f"counter_bits = {bits}",
-        data='segment = "seg"',
+        tmp_path, rows, header="t,n,fx,fy,fz,seg", instrument=f"counter_bits = {bits}", data='segment = "seg"'
     )
     assert events(run)["counter-roll-over"] == 1
     np.testing.assert_allclose(psi_steps(run), STEP, atol=1e-4)

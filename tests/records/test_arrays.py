@@ -1,4 +1,4 @@
-"""A long record lies in files without a name: the same record, or a clear word about the room."""
+"""A long record lies in files without a name: the same record, or a clear word about the room; the angle from a rate."""
 
 from __future__ import annotations
 

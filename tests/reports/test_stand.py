@@ -14,12 +14,7 @@ from piga.reports.render.page import page_html
 from piga.reports.stand import figures as simulation_figures
 from piga.reports.stand import locking_figure
 from piga.reports.stand import page as simulation_page
-from piga.stand import (
-    DividingHead,
-    Imperfections,
-    Specimen,
-    simulate_test,
-)
+from piga.stand import DividingHead, Imperfections, Specimen, simulate_test
 from piga.stand.write_run import coefficients
 from piga.units import ARCSEC, G0
 from tests.stand.simulated import COUNTS, INST, SITE

@@ -74,10 +74,7 @@ class Client:
     def post(self, path: str, fields: dict[str, object] | None = None) -> tuple[int, dict[str, str], bytes]:
         """Send a form."""
         body = urlencode(fields or {}, doseq=True).encode()
-        headers = {
-            "Origin": self.home,
-            "Content-Type": "application/x-www-form-urlencoded",
-        }
+        headers = {"Origin": self.home, "Content-Type": "application/x-www-form-urlencoded"}
         return self.ask(path, "POST", body, headers)
 
     def until(self, path: str, done: Callable[[str], bool], seconds: float = 240.0) -> str:

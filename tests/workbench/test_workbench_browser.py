@@ -16,16 +16,7 @@ from piga.records import Calibration
 from tests.certificate.certificate_data import budgeted, key_pair
 from tests.reports.example import calibration
 from tests.workbench import logs
-from tests.workbench.conftest import (
-    Browser,
-    Server,
-    both,
-    entered,
-    narrow,
-    shipped_record,
-    wait_until,
-    window,
-)
+from tests.workbench.conftest import Browser, Server, both, entered, narrow, shipped_record, wait_until, window
 
 pytestmark = pytest.mark.long
 SCALE = "Nominal scale factor (pendulosity over angular momentum)"

@@ -13,14 +13,7 @@ import pytest
 
 from piga.errors import CalibrationError
 from piga.formats.parquet import write_residuals
-from piga.records.calibration import (
-    Calibration,
-    Coefficient,
-    Outlier,
-    Quality,
-    Residuals,
-    RunRecord,
-)
+from piga.records.calibration import Calibration, Coefficient, Outlier, Quality, Residuals, RunRecord
 from piga.records.calibration.coefficient import coverage_factor
 from tests.reports.example import calibration
 

@@ -20,10 +20,7 @@ def with_k(ratio: float) -> object:
     return replace(GOOD, coefficients=tuple(changed))
 
 
-@pytest.mark.parametrize(
-    ("ratio", "grade"),
-    [(1.009, "same"), (1.011, "red"), (9.0, "red"), (0.98, "red")],
-)
+@pytest.mark.parametrize(("ratio", "grade"), [(1.009, "same"), (1.011, "red"), (9.0, "red"), (0.98, "red")])
 def test_k_off_nominal_is_red_and_cannot_be_kept(ratio: float, grade: str) -> None:
     shown = light(with_k(ratio))  # type: ignore[arg-type]
     assert shown.grade == (light(GOOD).grade if grade == "same" else "red")
