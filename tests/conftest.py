@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import piga
-from piga.cli import certificate, common
+from piga.cli import common
 from tests import json_documents
 from tests.short_record import TERMS, a_run
 
@@ -54,4 +54,3 @@ def json_schemas(monkeypatch: pytest.MonkeyPatch) -> None:
         print_json(document)
 
     monkeypatch.setattr(common, "print_json", one)
-    monkeypatch.setattr(certificate, "print_json", one)

@@ -14,13 +14,14 @@ from piga.cli.common import (
     ForceOption,
     JsonOption,
     argument,
+    day_in,
     deliver,
     files_named_in,
     flag,
     note,
     option,
-    print_json,
     say,
+    tell,
     write_by_rename,
 )
 from piga.errors import PigaError
@@ -145,11 +146,8 @@ def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
         if file.certificate.issued is not None:
             return file
         date = "today"
-    try:
-        day = dt.datetime.now().astimezone().date() if date == "today" else dt.date.fromisoformat(date)
-    except ValueError:
-        raise PigaError(f"--issued {date}: is not a date", remedy="write e.g. 2027-06-01, or today") from None
-    return replace(file, certificate=replace(file.certificate, issued=day))
+    day = dt.datetime.now().astimezone() if date == "today" else day_in(date, "--issued", ", or today")
+    return replace(file, certificate=replace(file.certificate, issued=day.date()))
 
 
 def _bytes(path: Path) -> bytes:
@@ -210,28 +208,26 @@ def verify(
     valid = f"{signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}"
     was = "was" if signed.valid_from.date() <= issued <= signed.valid_until.date() else "was not"
     stated = f"on the date of issue that the file states, {issued}, it {was} in force"
-    if as_json:
-        document: dict[str, Any] = {
-            "signature": "holds",
-            "signer": signed.signer,
-            "signer_in_force": not why,
-            "judged_for": day.date().isoformat(),
-            "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
-            "issued": issued.isoformat(),
-            "made_by_piga": ours,
-            "serial": serial,
-            "remarks": list(signed.remarks),
-        }
-        print_json(document)
-    elif why:
-        say(f"{file}: the signer's X.509 certificate {why}; {stated}")
-        say(f"  the signature itself holds; {who}")
-        say(f"  signed by  {signed.signer}")
-    else:
-        when = "" if at is None else f" as of {day:%Y-%m-%d}"
-        say(f"{file}: the signature holds{when}; {who}")
-        say(f"  signed by  {signed.signer}")
-        say(f"  whose certificate is valid {valid}")
+    document = {
+        "signature": "holds",
+        "signer": signed.signer,
+        "signer_in_force": not why,
+        "judged_for": day.date().isoformat(),
+        "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
+        "issued": issued.isoformat(),
+        "made_by_piga": ours,
+        "serial": serial,
+        "remarks": list(signed.remarks),
+    }
+    when = "" if at is None else f" as of {day:%Y-%m-%d}"
+    lines = [f"{file}: the signature holds{when}; {who}"]
+    if why:
+        lines = [
+            f"{file}: the signer's X.509 certificate {why}; {stated}",
+            f"  the signature itself holds; {who}",
+        ]
+    lines += [f"  signed by  {signed.signer}", *([] if why else [f"  whose certificate is valid {valid}"])]
+    tell(as_json, document, lines)
     if was == "was not" and not why:
         note(f"piga: the signer's X.509 certificate is valid {valid}; {stated}")
     for remark in signed.remarks:
@@ -244,10 +240,7 @@ def _day(at: str | None) -> dt.datetime:
     """Now, or noon UTC of the given day."""
     if at is None:
         return dt.datetime.now(dt.UTC)
-    try:
-        return dt.datetime.combine(dt.date.fromisoformat(at), dt.time(12), dt.UTC)
-    except ValueError:
-        raise PigaError(f"--at {at}: is not a date", remedy="write e.g. 2027-06-01") from None
+    return dt.datetime.combine(day_in(at, "--at").date(), dt.time(12), dt.UTC)
 
 
 @app.command()

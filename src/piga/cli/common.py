@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import io
 import json
 import re
@@ -249,6 +250,15 @@ def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:
         line = str(place / (inside if len(inside.parts) == 1 else inside.parts[0]))
         lines[line] = lines.get(line, 0) + 1
     return [line if count == 1 else f"{line} ({count} files)" for line, count in lines.items()]
+
+
+def day_in(text: str, option: str, also: str = "") -> dt.datetime:
+    """The time of an option, UTC where it names no zone; of a date its begin. ``also``: another word that the option takes."""
+    try:
+        time = dt.datetime.fromisoformat(text)
+    except ValueError:
+        raise PigaError(f"{option} {text}: is not a date", remedy=f"write e.g. 2027-06-01{also}") from None
+    return time if time.tzinfo else time.replace(tzinfo=dt.UTC)
 
 
 def names_in(text: str | None) -> list[str] | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
-from itertools import chain
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from piga.ledger import Reproduced
     from piga.ledger.reproduce import Difference
     from piga.ledger.store import Record
+    from piga.ledger.store.documents import Head
     from piga.ledger.store.store import Store
     from piga.ledger.store.transfer import Verification
 
@@ -45,6 +45,12 @@ def _store_name(where: str) -> str:
 def _head_line(records: int, head: str) -> str:
     """Number of records, and the head that proves them."""
     return f"{counted(records, 'record')}, head {head}"
+
+
+def _tell(where: str, head: Head, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
+    """What a command found in a store, with the head that proves it."""
+    place = {"store": _store_name(where), "head": head.sha256}
+    tell(as_json, place | document, [*lines, _head_line(head.number, head.sha256)])
 
 
 def _record_document(record: Record) -> dict[str, Any]:
@@ -282,12 +288,8 @@ def list_records(
     """List the records."""
     with opened(store) as kept:
         head, old, listed = kept.head(), kept.superseded(serial), list(kept.each(serial))
-    place = {"store": _store_name(store), "head": head.sha256}
-    tell(
-        as_json,
-        place | {"records": list(map(_record_document, listed))},
-        chain((_listed_line(one, old) for one in listed), [_head_line(head.number, head.sha256)]),
-    )
+    documents = list(map(_record_document, listed))
+    _tell(store, head, as_json, {"records": documents}, (_listed_line(one, old) for one in listed))
 
 
 def _listed_line(record: Record, old: Container[str]) -> str:
@@ -316,11 +318,9 @@ def show(
         if extract is not None:
             kept.extract(shown.id, _made(extract))
     result = None if calibration is None else to_document(calibration)
-    place = {"store": _store_name(store), "head": head.sha256}
     lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
     lines += [] if extract is None else [f"wrote {len(shown.document.files)} files to {extract}"]
-    lines.append(_head_line(head.number, head.sha256))
-    tell(as_json, place | _record_document(shown) | {"calibration": result}, lines)
+    _tell(store, head, as_json, _record_document(shown) | {"calibration": result}, lines)
 
 
 def _made(folder: Path) -> Path:
@@ -346,8 +346,7 @@ def diff(
 
     with opened(store) as kept:
         changes, head = difference(kept, first, second), kept.head()
-    document = {"store": _store_name(store), "head": head.sha256} | _difference_document(changes)
-    tell(as_json, document, (*_difference_lines(changes), _head_line(head.number, head.sha256)))
+    _tell(store, head, as_json, _difference_document(changes), _difference_lines(changes))
 
 
 @app.command()
@@ -443,12 +442,7 @@ def reproduce(
                 results_by_record.append(recompute(kept, name))
         head = kept.head()
     documents = [_reproduced_document(one) for one in results_by_record]
-    document = {"store": _store_name(store), "head": head.sha256, "records": documents}
-    tell(
-        as_json,
-        document,
-        chain(map(_reproduced_line, results_by_record), [_head_line(head.number, head.sha256)]),
-    )
+    _tell(store, head, as_json, {"records": documents}, map(_reproduced_line, results_by_record))
     if not all(one.reproduced for one in results_by_record):
         raise typer.Exit(2)
 

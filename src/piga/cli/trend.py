@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from piga.cli.common import ForceOption, JsonOption, argument, deliver, option, progress
+from piga.cli.common import ForceOption, JsonOption, argument, day_in, deliver, option, progress
 from piga.errors import PigaError
 from piga.output import is_hidden
 
@@ -55,7 +55,7 @@ def trend(
     gc.set_threshold(*RARELY)
     with progress("reading"):
         drifts = find_trend(history(sources or [], store, serial), common=_common(common or []))
-    date = _date(at) if at else drifts.times[-1] + dt.timedelta(days=365)
+    date = day_in(at, "--at") if at else drifts.times[-1] + dt.timedelta(days=365)
     names = ("trend.json", "trend.html")
     with deliver(out, "trend", names, _files(sources or []), force=force, as_json=as_json) as to:
         document = trend_document(drifts, at=date)
@@ -128,11 +128,3 @@ def _common(given: list[str]) -> Common:
             "--common: give either one part for all sources, or parts by source", remedy="drop the plain number"
         )
     return parts.get("", parts)
-
-
-def _date(text: str) -> dt.datetime:
-    try:
-        time = dt.datetime.fromisoformat(text)
-    except ValueError:
-        raise PigaError(f"--at {text}: is not a date", remedy="write e.g. 2027-06-01") from None
-    return time if time.tzinfo else time.replace(tzinfo=dt.UTC)

@@ -133,6 +133,17 @@ _LIKE: dict[str, str] = {
     "stand-speed": "rad/s",
 }
 """A unit of the quantity of each kind that has one."""
+UNITS: dict[str, tuple[str, ...]] = {
+    "time": ("s", "ms", "us", "min", "h"),
+    "angle": ("deg", "rad", "rev", "arcmin", "arcsec", "mrad"),
+    "rate": ("deg/s", "rad/s", "rev/s", "rpm", "deg/h"),
+    "force": ("g", "m/s^2", "mg", "ug"),
+    "base-rate": ("deg/s", "rad/s", "deg/h", "rpm"),
+    "temperature": ("degC", "K"),
+    "stand-angle": ("deg", "rad"),
+    "stand-speed": ("rpm", "rad/s", "deg/s"),
+}
+"""Units that logs write, by kind."""
 WORDS: dict[str, str] = {
     "time": "time",
     "date": "date",

@@ -92,20 +92,7 @@ def words_of(table: str, key: str) -> _KeyWords:
 def places_of(file: str) -> tuple[KeyPlace, ...]:
     """All keys of a kind of file, in order."""
     _, module, name = FILES[file]
-    return tuple(_places_in(file, getattr(import_module(module), name)))
-
-
-def _places_in(file: str, struct: Any) -> list[KeyPlace]:
-    """All keys of a kind of file, in order.
-
-    Parameters
-    ----------
-    file:
-        Name of the kind, for the places.
-    struct:
-        Class of the whole file.
-    """
-    return _below(file, struct, "", 0)
+    return tuple(_below(file, getattr(import_module(module), name), "", 0))
 
 
 def _below(file: str, struct: Any, path: str, depth: int) -> list[KeyPlace]:
@@ -194,28 +181,21 @@ class Question:
         return self.example[:1] in "{[" or self.example.isdigit()
 
 
-QUESTIONS = {
-    "instrument.scale_factor": Question(
-        "instrument.scale_factor", "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"
-    ),
-    "instrument.counts_per_revolution": Question(
-        "instrument.counts_per_revolution", "counts of the output per revolution of the outer gimbal", "72000"
-    ),
-    "data.output": Question("data.output", "column of the output", '{ column = "n", kind = "counts" }'),
-    "data.sample_rate": Question(
-        "data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz"
-    ),
-    "data.reference": Question(
+_ASKED = (
+    ("instrument.scale_factor", "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"),
+    ("instrument.counts_per_revolution", "counts of the output per revolution of the outer gimbal", "72000"),
+    ("data.output", "column of the output", '{ column = "n", kind = "counts" }'),
+    ("data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz"),
+    (
         "data.reference",
         "columns of the specific force along X0, Y0 and Z0",
         '{ columns = ["fx", "fy", "fz"], unit = "g" }',
     ),
-    "stand.latitude": Question("stand.latitude", "latitude of the laboratory", "40 deg"),
-    "stand.height": Question(
-        "stand.height", "height of the laboratory above sea level (if you know it)", "320 m"
-    ),
-    "stand.radius": Question("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
-}
+    ("stand.latitude", "latitude of the laboratory", "40 deg"),
+    ("stand.height", "height of the laboratory above sea level (if you know it)", "320 m"),
+    ("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
+)
+QUESTIONS = {key: Question(key, words, example) for key, words, example in _ASKED}
 """Values that no log need hold, by key of the run file."""
 
 

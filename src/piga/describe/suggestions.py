@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import kind_of_name
+from piga.describe.columns import UNITS, kind_of_name
 from piga.errors import PigaError
 from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
@@ -21,23 +21,12 @@ from piga.stand.run_reference import read_run
 _STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
 
 
-@dataclass(frozen=True)
-class _SuggestionSettings:
-    """Settings of the suggested lines (own choices)."""
-
-    problems: int = 8
-    """Most problems that are solved one after the other."""
-    rows: int = 100_000
-    """Rows on which a unit is judged."""
-    ratio: float = 1.5
-    """Largest ratio of the output to that of the nominal scale factor."""
-
-
-_SUGGESTION = _SuggestionSettings()
-
-FORCE_UNITS = ("g", "m/s^2", "mg", "ug")
-_ANGLE_UNITS = ("deg", "rad", "arcmin", "arcsec", "rev", "mrad")
-_RATE_UNITS = ("deg/s", "rad/s", "deg/h", "rpm", "rev/s")
+_PROBLEMS = 8
+"""Most problems that are solved one after the other."""
+_ROWS = 100_000
+"""Rows on which a unit is judged."""
+_RATIO = 1.5
+"""Largest ratio of the output to that of the nominal scale factor."""
 _TRIED: dict[str, tuple[Any, ...]] = {
     "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
     "counter_bits": (16, 24, 32),
@@ -71,7 +60,7 @@ def suggestions(path: Path) -> list[Suggestion]:
     except PigaError:
         return []
     kept: list[Change] = []
-    for _ in range(_SUGGESTION.problems):
+    for _ in range(_PROBLEMS):
         outcome = _read(path, document)
         working = _working(path, document, outcome)
         new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
@@ -146,7 +135,7 @@ def _settles(change: Change, before: Run, after: Run) -> bool:
 
 def _plausible(run: Run) -> bool:
     """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
-    some = slice(0, min(run.size, _SUGGESTION.rows))
+    some = slice(0, min(run.size, _ROWS))
     a_x, t = run.f[some, 0], run.t[some]
     if run.kind == "rate":
         turned, force = run.output[some], a_x
@@ -157,7 +146,7 @@ def _plausible(run: Run) -> bool:
     if not strong.any():
         return False
     ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
-    return 1.0 / _SUGGESTION.ratio < ratio < _SUGGESTION.ratio
+    return 1.0 / _RATIO < ratio < _RATIO
 
 
 def _changed(document: Document, change: Change) -> dict[str, Any]:
@@ -222,18 +211,10 @@ def _of_run(run: Run, document: Document) -> list[Change]:
             key = "reference" if "|f|" in event.detail else "output"
             table = data.get(key)
             if isinstance(table, Mapping) and "unit" in table:
-                units = (
-                    FORCE_UNITS
-                    if key == "reference"
-                    else _RATE_UNITS
-                    if table.get("kind") == "rate"
-                    else _ANGLE_UNITS
-                )
-                changes += [
-                    ("data", key, {**table, "unit": unit}, event.detail)
-                    for unit in units
-                    if unit != table["unit"]
-                ]
+                kind = "rate" if table.get("kind") == "rate" else "angle"
+                units = UNITS["force" if key == "reference" else kind]
+                others = (unit for unit in units if unit != table["unit"])
+                changes += [("data", key, {**table, "unit": unit}, event.detail) for unit in others]
     return changes
 
 

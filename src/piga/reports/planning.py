@@ -297,21 +297,15 @@ def _excluded(plan: Plan) -> Notice | Table:
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:
-    return Notice("good" if mounting.margin >= mounting.limit else "problem", _mounting_text(mounting) + ".")
-
-
-def _mounting_text(mounting: Mounting) -> str:
     """The answer to the mounting question in one sentence."""
-    kept = [math.degrees(float(s)) for s in mounting.acceptable]
+    kept = list(mounting.acceptable)
     text = (
         f"best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "
         f"least |a_x| is {short(mounting.margin)} of a_t tan(beta)"
     )
-    if not kept:
-        return f"{text}; no skew keeps it at the wanted {mounting.limit:g} or more"
-    return (
-        f"{text}; {len(kept)} of {mounting.skews.size} skews keep it at the wanted {mounting.limit:g} or more"
-    )
+    enough = f"{len(kept)} of {mounting.skews.size} skews keep" if kept else "no skew keeps"
+    text = f"{text}; {enough} it at the wanted {mounting.limit:g} or more."
+    return Notice("good" if mounting.margin >= mounting.limit else "problem", text)
 
 
 def brief(plan: Plan, mounting: Mounting | None = None) -> Page:

@@ -36,11 +36,7 @@ _ROLES: tuple[Role, ...] = (*XYZ, "data")
 
 
 def locking_figure(
-    inst: Instrument,
-    a_t: Sequence[float] = (5.0 * G0,),
-    beta: Sequence[float] | None = None,
-    *,
-    reach: float = 2.0,
+    inst: Instrument, a_t: Sequence[float] = (5.0 * G0,), beta: Sequence[float] | None = None
 ) -> Figure:
     """Mean output rate against specific force along the input axis, with its locked plateau.
 
@@ -48,25 +44,15 @@ def locking_figure(
     ----------
     inst:
         The instrument; its ``beta`` is used where ``beta`` is None.
-    a_t:
-        Transverse specific force of each curve [m/s^2].
-    beta:
-        Non-orthogonality of each curve [rad]; as many as ``a_t``, or one for all.
-    reach:
-        The axis extends this many half-widths of the widest dead zone to each side.
-
-    Returns
-    -------
-    Figure
-        One panel: mean rate and the ideal rate [deg/s] against ``a_x`` [mg].
+    a_t, beta:
+        Transverse specific force [m/s^2] and non-orthogonality [rad] of each curve.
     """
-    angles = list(beta) if beta is not None else [inst.beta]
-    curves = list(zip(a_t, angles * len(a_t) if len(angles) == 1 else angles, strict=True))
+    curves = list(zip(a_t, beta or [inst.beta] * len(a_t), strict=True))
     instruments = [Instrument(inst.scale_factor, angle) for _, angle in curves]
     borders = [
         float(dead_zone(one, force, 0.0)[1]) for one, (force, _) in zip(instruments, curves, strict=True)
     ]
-    limit = reach * (max(borders) or 1e-3 * G0)
+    limit = 2.0 * (max(borders) or 1e-3 * G0)
     plot = Plot(
         "locking", "Locking of the output rate by transverse specific force",
         "specific force along the input axis a_x [mg]", "mean output rate [deg/s]", height=3.6,

@@ -237,34 +237,27 @@ def _seen(unknown: int, o: Observability) -> str:
 
 
 def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
-    rows = (*_triad_attitude_rows(run, aligned), *_triad_drift_rows(aligned), *_base_rows(run, aligned))
     note = "Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec."
-    return _quantities(rows, "off truth", note)
+    return _quantities(_alignment_rows(run, aligned), "off truth", note)
 
 
-def _triad_attitude_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
+    """Attitude and drift of the triad, and the angles of the base."""
     from piga.frames import matrix_to_rotation_vector
 
-    true = matrix_to_rotation_vector(run.truth.triad_start.T)
+    true, motion = matrix_to_rotation_vector(run.truth.triad_start.T), run.scenario.motion
     for k, axis in enumerate("xyz"):
         value, std = aligned.triad_vector[k] / ARCSEC, aligned.std[k] / ARCSEC
         off = (aligned.triad_vector[k] - true[k]) / ARCSEC
         yield f"triad attitude {axis}", f"{value:.3f}", f"{std:.2g}", "arcsec", f"{off:+.3f}"
-
-
-def _triad_drift_rows(aligned: Alignment) -> Iterator[tuple[str, ...]]:
     degree_per_hour = np.radians(1.0) / 3600.0
     for k, axis in enumerate("xyz"):
         value, std = aligned.drift[k] / degree_per_hour, aligned.std[3 + k] / degree_per_hour
         yield f"triad drift {axis}", f"{value:.2e}", f"{std:.1e}", "deg/h", "–"
-
-
-def _base_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
-    motion = run.scenario.motion
     put_in = {"roll": motion.roll, "pitch": motion.pitch, "heading": motion.heading}
-    for k, (name, true) in enumerate(put_in.items()):
+    for k, (name, angle) in enumerate(put_in.items()):
         value, std = float(np.degrees(aligned.base_angles[k])), np.degrees(aligned.base_stds[k])
-        off = float(np.remainder(value - np.degrees(true) + 180.0, 360.0) - 180.0)
+        off = float(np.remainder(value - np.degrees(angle) + 180.0, 360.0) - 180.0)
         yield f"base {name}", fixed(value, 5), f"{std:.1e}", "deg", f"{off:+.1e}"
 
 

@@ -15,7 +15,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
-from piga.describe.columns import TOLD, WORDS
+from piga.describe.columns import TOLD, UNITS, WORDS
 from piga.describe.draft import QUESTIONS
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
@@ -46,18 +46,6 @@ _UNITS = {
     "instrument.counts_per_revolution": ("1", ()),
 }
 """A unit of the kind that a question asks for, and the units of its menu."""
-_COLUMN_UNITS = {
-    "time": ("s", "ms", "us", "min", "h"),
-    "counts": (),
-    "angle": ("deg", "rad", "rev", "arcmin", "arcsec", "mrad"),
-    "rate": ("deg/s", "rad/s", "rev/s", "rpm", "deg/h"),
-    "force": ("g", "m/s^2", "mg", "ug"),
-    "base-rate": ("deg/s", "rad/s", "deg/h", "rpm"),
-    "temperature": ("degC", "K"),
-    "stand-angle": ("deg", "rad"),
-    "stand-speed": ("rpm", "rad/s", "deg/s"),
-}
-"""Units of the menu of a column, by its kind."""
 _AXES = ("force", "base-rate")
 _TAKEN_OVER = ("instrument", "stand", "uncertainty")
 """Tables that an earlier run file can give."""
@@ -98,7 +86,7 @@ def _corrected(column: Any, index: int, sent: Sent) -> Any:
     kind, _, axis = chosen.partition(":")
     if kind in WORDS and chosen != _role(column):
         column = replace(column, kind=kind, axis=int(axis) if axis in ("0", "1", "2") else None, reason=TOLD)
-        unit = unit if unit in _COLUMN_UNITS.get(kind, ()) else ""
+        unit = unit if unit in UNITS.get(kind, ()) else ""
     return replace(column, unit=unit)
 
 
@@ -171,7 +159,7 @@ def _page(request: Request, sent: Sent, message: str = "", code: int = 200) -> R
         return render(request, "log-faulty.html.jinja", 422, **values, message=str(error))
     return render(
         request, "log-part.html.jinja" if is_part(request) else "log.html.jinja", code, **values, sheet=made,
-        roles=_roles(), role=_role, column_units=_COLUMN_UNITS, rows=_preview(made),
+        roles=_roles(), role=_role, column_units=UNITS, rows=_preview(made),
         others=[entry.name for entry in bench.folder.entries() if entry.state in ("ready", "kept")],
         message=message or made.message, took=only(sent, "take"),
         open_columns=[one for one in made.draft.open if one.key not in _UNITS],
