@@ -7,9 +7,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from piga.certificate import dcc
+from piga.compensation import result as compensated
+from piga.compensation.result import Compensated, write_rows
 from piga.errors import DataError, StoreError
 from piga.ledger.store.documents import write_new
 from tests.certificate.certificate_data import budgeted, changed, complete
@@ -121,6 +124,25 @@ def test_a_full_disk_leaves_no_cut_file(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot be written"):
         write_new(tmp_path / "a.csv", parts())
     assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_what_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Closing a file that could not be written does not hide the reason."""
+
+    class Full:
+        closed = False
+
+        def write_table(self, *_: object) -> None:
+            raise ValueError("Operation on closed file") if self.closed else OSError(errno.ENOSPC, "full")
+
+        def close(self) -> None:
+            raise ValueError("Operation on closed file")
+
+    real = compensated._opened
+    monkeypatch.setattr(compensated, "_opened", lambda *given: (Full(), real(*given)[1]))
+    t = np.arange(3.0)
+    with pytest.raises(OSError, match="full"):
+        write_rows(Compensated(t, t, t, t, np.zeros(3, np.int32)), tmp_path / "a.parquet")
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.ENAMETOOLONG])

@@ -260,6 +260,30 @@ def test_backup_and_restore_give_the_same_head(tmp_path: Path) -> None:
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+def test_damage_is_neither_exported_nor_backed_up(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 2).close()
+    raw = path.read_bytes()
+    at = raw.index(b"A. Meyer")
+    path.write_bytes(raw[:at] + b"B" + raw[at + 1 :])
+    with open_store(path) as store:
+        for name, act in (("b.sqlite", backup), ("b.zip", export_records)):
+            with pytest.raises(StoreError, match="was altered"):
+                act(store, tmp_path / name)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.sqlite"]
+
+
+@pytest.mark.parametrize(
+    "change", ["PRAGMA journal_mode=WAL", "PRAGMA user_version=2", "PRAGMA application_id=1"]
+)
+def test_altered_marks_are_found(tmp_path: Path, change: str) -> None:
+    filled(tmp_path / "a.sqlite", 1).close()
+    raw = sqlite3.connect(tmp_path / "a.sqlite")
+    raw.execute(change)
+    raw.close()
+    assert not verify(tmp_path / "a.sqlite").sound
+
+
 def test_two_programs_at_once_on_one_file(tmp_path: Path) -> None:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([drafts.__name__])

@@ -11,6 +11,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -156,12 +157,21 @@ def test_a_stored_file_made_by_hand_is_not_given_out(
     assert not verify(path).sound
 
 
+def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE piga_blob", b"CREATE TABLE\xffpiga_blob"))
+    with pytest.raises(StoreError, match=r"the file is damaged(?s:.*)restore a backup"):
+        open_store(path)
+    assert not verify(path).sound
+
+
 def members_of(path: Path) -> dict[str, bytes]:
     with zipfile.ZipFile(path) as export:
         return {name: export.read(name) for name in export.namelist()}
 
 
-def rewrite(path: Path, members: dict[str, bytes]) -> None:
+def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP_DEFLATED) -> None:
     """An export with sums and seal that fit its members."""
     named = {name: data for name, data in members.items() if name != "SHA256SUMS"}
     digests = {
@@ -169,7 +179,7 @@ def rewrite(path: Path, members: dict[str, bytes]) -> None:
         for name, data in named.items()
     }
     sums = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as export:
+    with zipfile.ZipFile(path, "w", packing) as export:
         for name, data in {**named, "SHA256SUMS": members.get("SHA256SUMS-as-is", sums)}.items():
             if name != "SHA256SUMS-as-is":
                 export.writestr(name, data)
@@ -294,3 +304,16 @@ def test_what_is_no_export(tmp_path: Path) -> None:
         seal(tmp_path / "b.zip")
         with pytest.raises(StoreError, match="the export is damaged"):
             import_records(store, tmp_path / "b.zip", "A", "merge")
+
+
+def test_a_member_whose_bytes_were_changed(sound: Path) -> None:
+    """Stored as it is, so that one byte can be changed where it lies; sealed again, the sum of the ZIP file is not."""
+    rewrite(sound, members_of(sound), packing=zipfile.ZIP_STORED)
+    raw = sound.read_bytes()
+    at = raw.index(b"This is an export")
+    sound.write_bytes(raw[:at] + b"t" + raw[at + 1 :])
+    seal(sound)
+    (problem,) = verify(sound).problems
+    assert "member 'README.txt': Bad CRC-32" in problem
+    with closing(sqlite3.connect(sound.parent / "a.sqlite")) as untouched:
+        assert untouched.execute("SELECT count(*) FROM piga_entry").fetchone() == (2,)
