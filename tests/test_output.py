@@ -268,6 +268,12 @@ def test_an_edited_run_file_is_not_simulated_over(
     assert "is the input" in said
 
 
+@pytest.mark.parametrize("name", ["a" * 251 + ".csv", "长" * 83 + ".csv", "a." + "b" * 250])
+def test_names_as_long_as_a_file_system_takes(tmp_path: Path, name: str) -> None:
+    output.write_whole(tmp_path / name, lambda path: path.write_text("x"))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")

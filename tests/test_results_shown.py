@@ -14,18 +14,6 @@ import pytest
 import piga
 
 
-def test_repr_of_a_calibration_has_ten_lines_at_most(cal):
-    assert len(cal.verdict.doubts) >= 1
-    assert len(repr(cal).splitlines()) <= 10
-    many = tuple(replace(cal.coefficients[0], segment=str(i)) for i in range(40))
-    noted = replace(cal, coefficients=many, notes=tuple(f"note {i} {'x' * 300}" for i in range(30)))
-    lines = repr(noted).splitlines()
-    assert len(lines) == 10
-    assert "and 36 more" in lines[5]
-    assert "more: summary()" in lines[-1]
-    assert len(repr(noted)) < 3000
-
-
 @pytest.fixture
 def alone(cal, tmp_path):
     """The calibration without its residuals, as it is read from its file."""

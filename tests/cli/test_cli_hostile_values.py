@@ -81,19 +81,6 @@ def test_a_long_argument_is_not_repeated(arguments: list[str], capsys: pytest.Ca
     assert len(err) < 500
 
 
-def test_a_long_text_of_a_file_is_not_repeated_whole(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_log(tmp_path, lines())
-    path = write_run(tmp_path)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace(FILE, f'file = "{"run " * 250_000}.csv"'), encoding="utf-8")
-    assert exit_code("check", path) == 2
-    err = capsys.readouterr().err
-    assert "remedy: " in err
-    assert len(err) < 5000
-
-
 def test_control_characters_in_a_certificate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In the TOML file, and what only XML refuses."""
     data = tmp_path / "certificate.toml"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -101,15 +100,3 @@ def test_each_shell_gets_commands_and_options() -> None:
     )
     assert "--phases" in fish
     assert "--phase-source" in fish
-
-
-def test_bash_completes_with_the_script() -> None:
-    bash = shutil.which("bash")
-    if bash is None:
-        pytest.skip("no bash here")
-    script = invoked("completion", "bash").stdout.replace(
-        "complete_bash $1", f"complete_bash {sys.executable} -m piga"
-    )
-    code = script + '\nCOMP_WORDS=(piga rec); COMP_CWORD=1; _piga_completion piga; echo "${COMPREPLY[@]}"\n'
-    done = subprocess.run([bash, "--norc"], input=code, text=True, capture_output=True, check=True)
-    assert done.stdout.split() == ["records"]

@@ -230,19 +230,6 @@ def test_rows_that_cannot_be_left_out(tmp_path: Path, rows: str) -> None:
         read(tmp_path, lines(), data=f"leave_out = [{{ rows = {rows} }}]")
 
 
-def test_the_digest_beside_a_log_counts(tmp_path: Path) -> None:
-    write_log(tmp_path, lines())
-    run = piga.read_run(write_run(tmp_path))
-    (digest,) = {value for name, value in run.input_sha256.items() if name.endswith(".csv")}
-    beside = tmp_path / "run.csv.sha256"
-    beside.write_text(f"{digest}  run.csv\n")
-    assert piga.read_run(tmp_path / "run.toml").size == run.size
-    for words in ("", "0" * 64):
-        beside.write_text(words)
-        with pytest.raises(piga.DataError, match="SHA-256 is not the one in"):
-            piga.read_run(tmp_path / "run.toml")
-
-
 def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> None:
     numbers = [*range(10), *range(13, 30), *range(25, 38)]
     rows = [f"{row},{k}" for row, k in zip(lines(len(numbers)), numbers, strict=True)]
@@ -252,16 +239,3 @@ def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> Non
     assert result["sequence-gap"].detail.startswith("3 samples missing")
     assert result["sequence-back"].count == 1
     assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]
-
-
-def test_every_reset_of_a_counter_is_named(tmp_path: Path) -> None:
-    rows = lines(60)
-    for first in (20, 40):
-        base = int(rows[first].split(",")[1])
-        for k in range(first, 60):
-            cells = rows[k].split(",")
-            rows[k] = ",".join([cells[0], str(int(cells[1]) - base), *cells[2:]])
-    with pytest.raises(
-        piga.DataError, match=r"row 22, column 'n': the counter goes to 0.*, and in rows 42: it was reset"
-    ):
-        read(tmp_path, rows)

@@ -64,13 +64,6 @@ def test_any_order_of_positions(tens, dwell, move, seed):
     assert all(first <= a < b <= end for (a, b), (first, end) in zip(found, spans, strict=True))
 
 
-@pytest.mark.parametrize(
-    "x", [np.linspace(0, 360, 50_000), np.sin(np.arange(50_000) / 500), np.full(20, np.nan)]
-)
-def test_a_column_that_never_stands_still(x):
-    assert positions(x) == []
-
-
 def head_log(folder: Path, *, kind="counts", direction=1, gap=0, lost=0, move=300, noise=1e-4) -> Path:
     """A log of a dividing head with recorded moves and without labels, and its run file."""
     angles = [0.0, 30.0, 60.0, 120.0, 150.0, 180.0, 210.0, 240.0, 300.0, 330.0]

@@ -142,12 +142,6 @@ def test_a_time_of_durations_or_times_of_day_is_in_seconds(run, kind, per_second
     assert np.allclose(made.t, run.t, rtol=0, atol=1e-12)
 
 
-def test_an_array_of_records_is_a_table(run):
-    table = a_table(run)
-    made = piga.Run.from_dataframe(np.rec.fromarrays(list(table.values()), names=list(table)), **LAB)
-    assert made == piga.Run.from_dataframe(table, **LAB)
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import piga
-from piga.records.terms import check_terms, meaning_of, term_words
+from piga.records.terms import check_terms, term_words
 
 
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
@@ -41,9 +41,3 @@ def test_a_mistyped_term_is_answered_with_the_nearest(name: str, near: str) -> N
     with pytest.raises(piga.RunFileError) as caught:
         check_terms((name,))
     assert caught.value.remedy.startswith(f"did you mean '{near}'? known terms: scale_factor")
-
-
-def test_coefficients_in_words() -> None:
-    assert meaning_of("s2") == "sine of 2 x output angle"
-    assert meaning_of("c12[3]") == "cosine of 12 x output angle"
-    assert meaning_of("k0[up]") == "bias"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import time
 from pathlib import Path
 
@@ -49,12 +48,6 @@ def test_first_lines_that_are_too_long(tmp_path: Path, content: bytes, row: int)
     assert caught.value.remedy
 
 
-def test_a_packed_file_with_a_long_line(tmp_path: Path) -> None:
-    noise = np.random.default_rng(1).integers(48, 58, 3 << 20, dtype=np.uint8).tobytes()
-    with pytest.raises(piga.DataError, match=r"row 2: a line too long"):
-        read(tmp_path, gzip.compress(HEADER + noise + b"\n"), "run.csv.gz")
-
-
 @pytest.mark.parametrize("size", [3 << 20, 5 << 20])
 def test_a_long_line_further_on_is_named_by_its_row(tmp_path: Path, size: int) -> None:
     content = HEADER + ROWS + b"1" * size + b"\n" + ROWS
@@ -80,12 +73,6 @@ def test_a_file_of_four_thousand_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.t, plain.t)
     np.testing.assert_array_equal(run.output, plain.output)
     np.testing.assert_array_equal(run.row, plain.row)
-
-
-def test_comments_longer_than_what_is_looked_at_first(tmp_path: Path) -> None:
-    run = read(tmp_path, b"# noise\n" * 20_000 + HEADER + ROWS)
-    assert run.size == 40
-    assert run.row[0] == 20_002
 
 
 ONE_COLUMN = """\
