@@ -36,7 +36,6 @@ except SystemExit as end:
 print("COMPILED", json.dumps(compiled))
 """
 
-
 MOST_COMPILED = 93
 """Functions that the first calibration and compensation of the shipped record compile, parts of Numba included: 87."""
 
@@ -71,7 +70,6 @@ sys.path.insert(0, sys.argv[1])
 import small
 print(small.twice(21.0))
 """
-
 
 KERNEL = """
 from piga._kernels.jit import kernel

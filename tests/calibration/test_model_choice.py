@@ -16,14 +16,8 @@ from piga.calibration.weights import Noise, weighted_blocks
 from tests.calibration.made.synthetic import TERMS, record
 
 TRUE = tuple(TERMS)
-
-
 SMALLER = ("scale_factor", "tan_beta", "k0", "m_Y")
-
-
 LARGER = (*TRUE, "k3")
-
-
 SETS = [("scale_factor", "tan_beta"), SMALLER, TRUE, LARGER, (*TRUE, "s2", "c2")]
 
 

@@ -38,8 +38,6 @@ def test_draws_of_students_t_have_its_wider_spread() -> None:
 
 
 TERMS = ("scale_factor", "tan_beta", "k0")
-
-
 U = 4.9e-7
 """Standard uncertainty of tan_beta in the records below."""
 

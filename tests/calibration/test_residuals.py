@@ -23,8 +23,6 @@ from piga.units import G0
 from tests.calibration.made.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000
-
-
 compiled = pytest.mark.long
 
 

@@ -27,8 +27,6 @@ def run_text(file: str, *lines: str, time: str = TIME, output: str = ANGLE, inst
 
 
 KERNEL = import_module("piga.compensation.compensator")
-
-
 CAL = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3}
 
 

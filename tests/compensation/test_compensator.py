@@ -18,14 +18,8 @@ from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
 PHI = np.pi / 4
-
-
 TOLERANCE_RAMPS = 1e-11
-
-
 TOLERANCE_ERRORS = 2e-7
-
-
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": PHI})
 
 
@@ -241,8 +235,6 @@ def test_rows_outside_the_calibrated_range_are_flagged() -> None:
 
 
 RATE = 20.0 if numba.config.DISABLE_JIT else 100.0
-
-
 PUBLISHED = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": np.pi / 4})
 
 

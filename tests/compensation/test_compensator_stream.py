@@ -21,14 +21,8 @@ from tests.compensation.twin_data import (
 )
 
 ERRORS = {"k0": 1.6e-3, "k2": 2e-5, "m_Y": 2e-4, "k_XY": 1e-4, "s2": 1e-5, "c2": 2e-5}
-
-
 STD = {"scale_factor": 1e-6, "tan_beta": 1e-7, "phi": 1e-4, "k0": 1e-6}
-
-
 CAL = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, **ERRORS}, STD, angle_rms=1e-5)
-
-
 ROWS = 400 if numba.config.DISABLE_JIT else 5000
 
 

@@ -44,8 +44,6 @@ def test_lines_and_batches_through_a_pipe_are_the_record():
 
 
 T = 0.01 * np.arange(60)
-
-
 F = constant_force(T, 1.0, 3.0, 0.5)
 
 

@@ -77,11 +77,7 @@ def test_fault_of_one_instrument_is_flagged():
 
 
 TERMS = 16
-
-
 SERIES_ROWS = 40 if numba.config.DISABLE_JIT else 400
-
-
 SKEW3, SKEW4 = [rotation(a) for a in SKEWED[:3]], [rotation(a) for a in SKEWED]
 
 

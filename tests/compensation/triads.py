@@ -8,8 +8,6 @@ from piga.compensation import Mounted
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 
 SKEWED = [(0.3, -0.2, 0.5), (0.4, 1.2, -0.3), (-1.3, 0.2, 2.0), (2.0, -0.6, 1.2)]
-
-
 PHASES = (0.3, -1.1, 2.0, 0.9)
 
 

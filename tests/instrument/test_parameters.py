@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 import piga
@@ -45,17 +44,6 @@ def test_error_model_units_and_names():
         ErrorModel.from_terms({"s2": 1e-6})
     with pytest.raises(piga.UnitError, match="ErrorModel k2"):
         ErrorModel(k2="1 g")
-
-
-def test_error_terms_one_by_one():
-    t, f, kelvin = np.array([2.0]), np.array([[2.0, 3.0, -5.0]]), np.array([300.0])
-    expected = {
-        "k0": 1.0, "k1": 2.0, "k2": 4.0, "k3": 8.0, "k2o": 4.0, "k1a": 2.0, "m_Y": 3.0, "m_Z": -5.0, "k_XY": 6.0,
-        "k_XZ": -10.0, "k_YY": 9.0, "k_ZZ": 25.0, "k_YZ": -15.0, "k0_t": 2.0, "k0_T": 6.85, "k1_T": 13.7,
-    }  # fmt: skip
-    for name, value in expected.items():
-        force = ErrorModel(**{name: 1.0}).specific_force(t, f, kelvin)
-        assert force[0] == pytest.approx(value, rel=1e-12), name
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -271,8 +271,6 @@ def test_bad_input_is_named_with_its_index(t, f, kwargs, message):
 
 
 SHORT = Instrument(0.0906, 0.3, 0.4)
-
-
 START, SLOPE = np.array([4.0, 20.0, -9.0]), np.array([3.0, -40.0, 70.0])
 
 
@@ -311,17 +309,9 @@ def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
 
 
 RNG = np.random.default_rng(7)
-
-
 FLEET = [Instrument(0.09 + 0.001 * k, 0.01 * (k - 1), 0.5 * k) for k in range(3)]
-
-
 T = np.arange(400) * 0.02
-
-
 INPUTS = RNG.normal(0.0, 2 * G0, (3, T.size, 3))
-
-
 OMEGA = RNG.normal(0.0, 0.1, (3, T.size, 3))
 
 

@@ -22,8 +22,6 @@ from tests.instrument.test_sampled_motion import dop853
 pytestmark = pytest.mark.interpreted
 
 INST = Instrument("0.8884 rad/s/g", "1 deg", 0.4)
-
-
 W = 2 * math.pi * 0.7
 
 

@@ -14,8 +14,6 @@ from tests.platform.conftest import INTERPRETED, alignment, published
 pytestmark = pytest.mark.interpreted
 
 DURATION = 7200.0 if INTERPRETED else 86400.0
-
-
 SOURCES = list(standard_sources().items())
 
 

@@ -31,7 +31,6 @@ pytestmark = pytest.mark.interpreted
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-
 SCENARIOS = [
     path
     for path in sorted(EXAMPLES.glob("*.toml"))
@@ -85,7 +84,6 @@ SERVO = (
     'servo = { integral_gain = { value = "3000 N m/(rad s)", standard = 0.0 }, '
     'damping = { value = "0.05 N m s/rad", standard = "0.005 N m s/rad" }, angular_momentum = "0.1 kg m^2/s" }\n'
 )
-
 
 INSTRUMENT = "[instrument]\n"
 

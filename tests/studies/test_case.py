@@ -40,15 +40,6 @@ def test_without_number_or_tolerance_it_is_for_information():
     assert contradicted.difference == pytest.approx(-0.0008)
 
 
-def test_document_has_the_keys_of_the_interface():
-    document = CASE.document()
-    assert list(document) == [
-        "id", "source", "quantity", "unit", "published", "computed", "difference", "tolerance", "verdict", "note",
-    ]  # fmt: skip
-    assert document["difference"] == document["computed"] - document["published"]
-    assert replace(CASE, computed=math.inf).document()["computed"] is None
-
-
 def test_a_chapter_has_the_published_cases_and_no_others():
     values = {"least-skew": 1000.0, "moves": Value(999.0, published=999.5, tolerance=0.6), "shortfall": 0.01}
     chapter = chapter_of("mounting", values, ())

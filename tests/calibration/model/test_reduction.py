@@ -16,8 +16,6 @@ from piga.calibration.model.reduction import Reduction
 from piga.errors import ArgumentError
 
 NIST = json.loads((Path(__file__).parents[2] / "data" / "nist-linear.json").read_text())
-
-
 DIGITS = {"Filip": 6.5, "Wampler4": 7.5, "Longley": 10.0}
 
 

@@ -24,8 +24,6 @@ from tests.calibration.made import phases
 from tests.calibration.made.random_plans import problem
 
 PROBLEMS = 10_000
-
-
 REACHED = 6.0
 """Errors below this many standard uncertainties are noise; one in 10^8 coefficients exceeds it."""
 

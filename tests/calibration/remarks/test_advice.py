@@ -18,7 +18,6 @@ from tests.calibration.made.synthetic_terms import TERMS, around
 
 SMALL = bool(numba.config.DISABLE_JIT)
 
-
 STRONG = Scenario(
     "strong", around(6 if SMALL else 18), seconds=6.0 if SMALL else 20.0, white=2.5e-5, walk=2e-6, tan_beta=4e-3,
     terms=TERMS,

@@ -29,8 +29,6 @@ from tests.instrument.rigid_body import RICH, accelerations, solve
 pytestmark = pytest.mark.interpreted
 
 SLOW_PYTHON = bool(numba.config.DISABLE_JIT)
-
-
 EXAMPLE = PRESETS["example"]
 
 
@@ -203,19 +201,6 @@ def test_rectification_and_second_harmonic_over_a_decade_of_integral_gain(k_i):
     fit = np.linalg.lstsq(basis, ripple, rcond=None)[0]
     assert math.hypot(fit[3], fit[4]) == pytest.approx(-textbook, rel=0.05)
     assert math.hypot(fit[3], fit[4]) == pytest.approx(predicted_second_harmonic(p, a_t, w), rel=0.03)
-
-
-@pytest.mark.long
-def test_proportional_stiffness_alone_gives_a_second_harmonic_and_no_shift():
-    p = replace(EXAMPLE, integral_gain=0.0, proportional_gain=60.0)
-    a_t, w = G0, EXAMPLE.K * 2 * G0
-    motion, mean = revolutions(p, 2 * G0, a_t, 1)
-    amplitude = p.K * a_t**2 * p.pendulosity / (2 * p.proportional_gain)
-    assert abs(mean - w) < 0.05 * amplitude
-    assert predicted_second_harmonic(p, a_t, w) == pytest.approx(amplitude, rel=0.02)
-    one = motion.alpha < motion.alpha[0] + 2 * math.pi
-    fit = 2 * np.mean((motion.rate[one] - w) * np.exp(2j * motion.alpha[one]))
-    assert abs(fit) == pytest.approx(amplitude, rel=0.05)
 
 
 @pytest.mark.long
