@@ -24,12 +24,21 @@ from piga.planning.criterion import Criterion, best_mixture
 from piga.planning.mounting import plan_mounting
 from piga.planning.plan import plan_test, scenario_text
 from piga.planning.plan_file import read_plan
-from piga.stand import read_scenario, run_scenario
+from piga.stand import Scenario, read_scenario, run_scenario
 from tests.chance import assert_variance
 from tests.planning.cases import request
 
 pytestmark = pytest.mark.interpreted
 REPEATS = 30
+
+
+def simulated(scenario: Scenario, seed: int) -> piga.Run:
+    """The record of a planned test."""
+    log = run_scenario(scenario, seed=seed).log
+    return piga.Run.from_arrays(
+        log.t, log.output, log.reference, scale_factor="0.8884 rad/s/g", base_rate=log.base_rate, segment=log.segment,
+        units="SI", uncertainty={"waived": {"servo": "simulated without"}},
+    )  # fmt: skip
 
 
 def regression(points: np.ndarray, degree: int) -> np.ndarray:
@@ -134,20 +143,7 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
     path = tmp_path / "scenario.toml"
     plan = plan_test(wish)
     path.write_text(scenario_text(plan), encoding="utf-8")
-    log = run_scenario(read_scenario(path), seed=2).log
-    calibration = piga.calibrate(
-        piga.Run.from_arrays(
-            log.t,
-            log.output,
-            log.reference,
-            scale_factor="0.8884 rad/s/g",
-            base_rate=log.base_rate,
-            segment=log.segment,
-            units="SI",
-            uncertainty={"waived": {"servo": "simulated without"}},
-        ),
-        list(wish.model.terms),
-    )
+    calibration = piga.calibrate(simulated(read_scenario(path), 2), list(wish.model.terms))
     for name in ("scale_factor", "k0"):
         assert plan.best.degrees(name) == pytest.approx(calibration[name].degrees_of_freedom, rel=0.3)
         assert plan.best.expanded(name) > 1.99 * plan.best.std(name)
@@ -243,38 +239,21 @@ def test_mounting_sees_a_passage_between_rows(tmp_path):
 @pytest.mark.long
 def test_prediction_is_what_repeats_show(tmp_path):
     """Spread of the estimates over simulated repeats of the exported scenario."""
-    check_repeats(
-        tmp_path,
-        request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4),
-        REPEATS,
-    )
-
-
-def check_repeats(folder, wish, repeats):
+    wish = request(tmp_path, duration=400, walk=3e-6, white=5e-5, rate=4)
     plan = plan_test(wish)
-    path = folder / "scenario.toml"
+    path = tmp_path / "scenario.toml"
     path.write_text(scenario_text(plan), encoding="utf-8")
     scenario = read_scenario(path)
     assert run_scenario(scenario).log.labels == tuple(f"{k}.0" for k in range(len(plan.best.visits)))
     values = []
-    for seed in range(repeats):
-        log = run_scenario(scenario, seed=seed).log
-        run = piga.Run.from_arrays(
-            log.t,
-            log.output,
-            log.reference,
-            scale_factor="0.8884 rad/s/g",
-            base_rate=log.base_rate,
-            segment=log.segment,
-            units="SI",
-            uncertainty={"waived": {"servo": "simulated without"}},
-        )
+    for seed in range(REPEATS):
+        run = simulated(scenario, seed)
         fit = fit_run(run, make_request(run, list(wish.model.terms), phases=wish.model.phases))
         named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
         values.append([c.value for name in plan.names if name != "phi" for c in named if c.name == name])
     spread = np.std(values, axis=0, ddof=1)
     for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):
-        assert_variance((s / plan.best.std(name)) ** 2, repeats - 1, name)
+        assert_variance((s / plan.best.std(name)) ** 2, REPEATS - 1, name)
 
 
 SERVO = {
