@@ -161,10 +161,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
     there = [path for path in outputs if path.exists() or path.is_symlink()]
     same = _same_file(there, inputs)
     if same is not None:
-        raise ArgumentError(
-            f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
-            remedy="choose another --out",
-        )
+        raise _input_in_the_way(*same, "choose another --out")
     if there and not force:
         named = ", ".join(map(str, there[:5])) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
         raise ArgumentError(f"{named}: there already", remedy="choose another --out, or replace with --force")
@@ -195,14 +192,15 @@ def _free_folder(
                 raise _folder_in_the_way(path, option)
         same = _same_file(there, inputs)
         if force and same is not None:
-            raise ArgumentError(
-                f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
-                remedy=f"choose another {option}, or leave --force out",
-            )
+            raise _input_in_the_way(*same, f"choose another {option}, or leave --force out")
         mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
             return place
         number, place = number + 1, folder / str(number + 1)
+
+
+def _input_in_the_way(path: Path, source: Path, remedy: str) -> ArgumentError:
+    return ArgumentError(f"{path}: is the input {source}: it would be replaced by the result", remedy=remedy)
 
 
 def _folder_in_the_way(path: Path, option: str) -> ArgumentError:

@@ -14,7 +14,6 @@ from piga.cli.common import (
     deliver,
     files_named_in,
     flag,
-    note,
     option,
     progress,
     write_text,
@@ -124,9 +123,6 @@ def reproduce(
 
 
 def _write(reproduction: Reproduction, folder: Path) -> None:
-    from importlib.util import find_spec
-
-    from piga.errors import install_command
     from piga.reports.render.axes import write_figure
     from piga.reports.render.page import write_page
     from piga.studies.reproduction import reproduction_page
@@ -134,11 +130,8 @@ def _write(reproduction: Reproduction, folder: Path) -> None:
     pictures = folder / "figures"
     pictures.mkdir()
     write_page(reproduction_page(reproduction), folder / "reproduction.html")
-    kinds = ("svg", "png") if find_spec("matplotlib") else ("svg",)
-    if "png" not in kinds:
-        note(f"piga: no PNG figures: they need the extra 'report' ({install_command('report')})")
     with progress("drawing", len(reproduction.figures)) as show:
         for number, figure in enumerate(reproduction.figures):
             show(number, len(reproduction.figures), figure.key)
-            for kind in kinds:
+            for kind in ("svg", "png"):
                 write_figure(figure, pictures / f"{figure.key}.{kind}")

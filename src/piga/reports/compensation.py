@@ -345,22 +345,18 @@ def result_figure(result: Compensated | CompensatedSet) -> Figure:
     if isinstance(result, Compensated) and result.made_from is not None:
         run, calibration = result.made_from
         return force_figure(of_record(run, calibration, result))
-    single = isinstance(result, Compensated)
-    force, u = (
-        (result.ax[:, None], result.u_ax[:, None])
-        if isinstance(result, Compensated)
-        else (result.f, result.u_f)
-    )
-    names: tuple[tuple[str, Role], ...] = (("a_x", "after"),) if single else tuple((f"f{k}", k) for k in XYZ)
-    t = result.t - result.t[0]
-    where = "along the input axis" if single else "in the common frame"
+    columns, t = result.columns(), result.t - result.t[0]
+    names: dict[str, tuple[str, Role]] = {"ax": ("a_x", "after")}
+    names |= {f"f{axis}": (f"f{axis}", axis) for axis in XYZ}
+    where = "along the input axis" if "ax" in columns else "in the common frame"
     plot = Plot("compensation-force", f"Specific force {where}.", TIME, "specific force [g]", height=2.3)
-    for k, (name, role) in enumerate(names):
-        plot.line(t, force[:, k] / G0, name, role)
-    if u.size:
+    shown = [key for key in names if key in columns]
+    for key in shown:
+        plot.line(t, columns[key] / G0, *names[key])
+    if f"u_{shown[0]}" in columns:
         plot.panel(TIME, "standard uncertainty [µg]")
-        for k, (name, role) in enumerate(names):
-            plot.line(t, u[:, k] / MICRO_G, f"u({name}) of a row", role)
+        for key in shown:
+            plot.line(t, columns[f"u_{key}"] / MICRO_G, f"u({names[key][0]}) of a row", names[key][1])
     return plot.caption("Compensated specific force, and its standard uncertainty.")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from piga.records.calibration import Calibration, Coefficient, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
-from piga.reports.render.numbers import count, fixed, pretty_unit, relative, rounded, short, signed
+from piga.reports.render.numbers import Rounded, count, fixed, pretty_unit, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Judgement, Table, TableOf, Tone, named_values
 from piga.units import ARCSEC, G0
 
@@ -66,37 +67,33 @@ def coefficient_table(cal: Calibration, *, every: bool = False) -> Table:
 
     ``every``: with those of single segments.
     """
+
+    def known(cell: Callable[[Coefficient], str | Cell]) -> Callable[[Coefficient], str | Cell]:
+        return lambda c: cell(c) if c.determined else "–"
+
+    def shown(c: Coefficient, spread: float) -> Rounded:
+        scale = shown_unit(c.name, c.unit)[0]
+        return rounded(c.value * scale, spread * scale)
+
+    undetermined = Cell("not determined", "doubtful")
     return (
-        TableOf([Shown(c, cal.direct) for c in (cal.coefficients if every else common_coefficients(cal))])
-        .text("Coefficient", lambda row: row.name)
-        .number("Value", lambda row: row.value)
-        .number("u", lambda row: row.std)
-        .number("k u (95 %)" if cal.type_a_only else "U (95 %)", lambda row: row.wide)
-        .text("Unit", lambda row: row.unit)
-        .number("u / value", lambda row: row.relative)
-        .number("dof", lambda row: row.freedom)
-        .number("k", lambda row: row.factor)
+        TableOf(cal.coefficients if every else common_coefficients(cal))
+        .text("Coefficient", lambda c: named(c, cal.direct))
+        .number("Value", lambda c: shown(c, c.std).value if c.determined else undetermined)
+        .number("u", known(lambda c: shown(c, c.std).uncertainty))
+        .number(
+            "k u (95 %)" if cal.type_a_only else "U (95 %)", known(lambda c: shown(c, c.expanded).uncertainty)
+        )
+        .text("Unit", lambda c: pretty_unit(shown_unit(c.name, c.unit)[1] if c.determined else c.unit) or "1")
+        .number("u / value", known(_relative))
+        .number("dof", known(freedom))
+        .number("k", known(factor))
         .table(notes=_coefficient_notes(cal))
     )
 
 
-class Shown:
-    """A coefficient as its cells of a table. What is not known is a dash."""
-
-    def __init__(self, c: Coefficient, direct: bool = False) -> None:
-        scale, unit = shown_unit(c.name, c.unit)
-        value, std = c.value * scale, c.std * scale
-        number, wide = rounded(value, std), rounded(value, c.expanded * scale)
-        self.name = named(c, direct)
-        self.unit = pretty_unit(unit if c.determined else c.unit) or "1"
-        if not c.determined:
-            self.value: str | Cell = Cell("not determined", "doubtful")
-            self.std = self.wide = self.freedom = self.factor = "–"
-            self.relative: str | Cell = "–"
-            return
-        self.value, self.std = number.value, number.uncertainty
-        self.wide, self.freedom, self.factor = wide.uncertainty, freedom(c), factor(c)
-        self.relative = Cell(relative(value, std), "doubtful" if std > abs(value) else "")
+def _relative(c: Coefficient) -> Cell:
+    return Cell(relative(c.value, c.std), "doubtful" if c.std > abs(c.value) else "")
 
 
 def freedom(coefficient: Coefficient) -> str:

@@ -1,6 +1,6 @@
 """What comes after a calibration: certificate, compensation, the plan of the next test, ledger, trend, prospects of terms.
 
-Also any TOML file as text, and the commands that run it.
+Also any TOML file as text with the commands that run it, and jobs: how far they are, what they printed and wrote; stop one.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import contextlib
 import datetime as dt
 import re
 import secrets
+import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,9 +24,22 @@ from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in, toml_document
-from piga.workbench.folder import CALIBRATION, Kept, OutsideError, results_of
+from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Kept, OutsideError, results_of
 from piga.workbench.history import ChangedError
-from piga.workbench.pages.common import Bench, Field, Sent, bench_of, in_line, only, posted, redirect, render
+from piga.workbench.jobs import Job
+from piga.workbench.pages.common import (
+    Bench,
+    Field,
+    Sent,
+    bench_of,
+    in_line,
+    is_part,
+    only,
+    posted,
+    redirect,
+    render,
+    result_file,
+)
 from piga.workbench.pages.record import kept_of, left
 from piga.workbench.signals import cache_key
 
@@ -481,6 +495,65 @@ def _save_text(request: Request, sent: Sent) -> Response:
     return start(request, command, word.capitalize(), name, out, files_named_in(path))
 
 
+# --- jobs --------------------------------------------------------------------------------------------
+
+
+def _job_of(request: Request) -> tuple[Bench, Job]:
+    """The job that the address names."""
+    bench = bench_of(request)
+    job = bench.jobs.get(request.path_params["key"])
+    if job is None:
+        raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
+    return bench, job
+
+
+def _show_jobs(request: Request) -> Response:
+    jobs = bench_of(request).jobs
+    return render(request, "jobs.html.jinja", jobs=[(job, jobs.status(job)) for job in jobs.all()])
+
+
+def _show_job(request: Request) -> Response:
+    """One job: its state, what it printed, its files. The page asks for it again while the job runs."""
+    bench, job = _job_of(request)
+    status = bench.jobs.status(job)
+    response = render(
+        request, "job-part.html.jinja" if is_part(request) else "job.html.jinja", job=job, status=status,
+        line=f"piga {shlex.join(job.command)}", out=bench.jobs.text(job, "out"), err=bench.jobs.text(job, "err"),
+        files=[path.name for path in _result_files(bench, job)] if status.state == "done" else [],
+    )  # fmt: skip
+    if is_part(request) and status.state != "running":
+        response.headers["hx-refresh"] = "true"
+    return response
+
+
+def _stop_job(request: Request) -> Response:
+    bench, job = _job_of(request)
+    bench.jobs.stop(job)
+    return redirect(request, request.headers.get("referer") or f"/jobs/{job.key}")
+
+
+def _job_file(request: Request) -> Response:
+    """A result file of a job."""
+    bench, job = _job_of(request)
+    name = request.path_params["file"]
+    path = next((item for item in _result_files(bench, job) if item.name == name), None)
+    if path is None:
+        raise OutsideError(f"{name}: is not a result of this job", remedy="choose a listed file")
+    return result_file(bench, path, draft=job.title.startswith("DRAFT"))
+
+
+def _result_files(bench: Bench, job: Job) -> list[Path]:
+    """The files that a job wrote: those of its folder, or its file and the page beside it."""
+    if not job.result or job.result.startswith(("signals/", "check/")):
+        return []
+    is_trial = job.result.startswith(f"{STATE_FOLDER}/trials/")
+    place = bench.folder.root / job.result if is_trial else bench.folder.path(job.result)
+    files = [place, place.with_suffix(".html")]
+    if place.is_dir() and not place.is_symlink():
+        files = sorted(path for path in place.iterdir() if not path.name.startswith("."))
+    return [path for path in files if path.is_file() and not path.is_symlink()]
+
+
 ROUTES = [
     Route("/certificate", _certificate, methods=["GET"]),
     Route("/certificate", posted(_issue), methods=["POST"]),
@@ -494,4 +567,8 @@ ROUTES = [
     Route("/prospects/{name:path}", _prospects),
     Route("/text", _show_text, methods=["GET"]),
     Route("/text", posted(_save_text), methods=["POST"]),
+    Route("/jobs", _show_jobs),
+    Route("/jobs/{key}", _show_job),
+    Route("/jobs/{key}/stop", _stop_job, methods=["POST"]),
+    Route("/jobs/{key}/file/{file}", _job_file),
 ]
