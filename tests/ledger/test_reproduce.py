@@ -19,6 +19,7 @@ from piga.ledger.keep import input_files
 from piga.ledger.store.transfer import verify
 from piga.output import results
 from piga.records.limits import read_whole
+from piga.stand.run_reference import _check_unchanged
 from tests.records.files import write_log, write_run
 
 POSITIONS = 6
@@ -169,6 +170,15 @@ def test_an_input_that_changes_before_the_record_is_written_is_refused(tmp_path:
         with pytest.raises(PigaError, match=f"{name}: is not the file that the calibration was computed from"):
             prepare_results(run, tmp_path / "out", "A", "test")
         assert store.head().number == 0
+
+
+def test_a_stand_that_changes_between_reading_and_its_uncertainty_is_refused(tmp_path: Path) -> None:
+    run = profile_run(tmp_path)
+    record = piga.read_run(run)
+    path = tmp_path / "stand" / "p.csv"
+    path.write_text(path.read_text().replace("0.3", "0.4"))
+    with pytest.raises(PigaError, match="changed after it was read"):
+        _check_unchanged(record)
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.export import SEAL
 from piga.ledger.store.transfer import backup, export_records, import_records, verify
-from tests.ledger.store.drafts import content, filled
+from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.test_transfer_altered import tamper
 
 LARGE = 200_000
@@ -164,6 +164,18 @@ def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"the file is damaged(?s:.*)restore a backup"):
         open_store(path)
     assert not verify(path).sound
+
+
+def test_a_damaged_head(tmp_path: Path) -> None:
+    path = tmp_path / "a.sqlite"
+    filled(path, 1).close()
+    tamper(path, lambda connection: connection.execute("UPDATE piga_head SET number = 'one'"))
+    with open_store(path) as store:
+        with pytest.raises(StoreError, match="the head is damaged in the store"):
+            store.head()
+        with pytest.raises(StoreError, match="the head is damaged"):
+            add(store, "next")
+    assert any("the head is damaged" in problem for problem in verify(path).problems)
 
 
 def members_of(path: Path) -> dict[str, bytes]:
