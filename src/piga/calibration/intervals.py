@@ -102,7 +102,7 @@ def find_interval(
         common
     )
     rows = [
-        _parameter_rows(layout, estimate, r, at, local=members.size > 0 and members[r.group] == 1)
+        _parameter_rows(layout, estimate, r, at, local=layout.coupled and members[r.group] == 1)
         for r in repetitions
     ]
     variances = [r.variance for r in repetitions]

@@ -190,7 +190,10 @@ class MergedRuns:
         return state, examination, solve_parts(self.layout, parts)
 
     def repetitions(self, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
-        """The positions of all runs, with the columns of the fit and those ``beside`` them."""
+        """The positions of all runs, with the columns of the fit and those ``beside`` them.
+
+        The blocks of a run that holds one position are one repetition: their scatter does not show that of positions.
+        """
         result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
             first, wanted, known = (
@@ -205,6 +208,12 @@ class MergedRuns:
                 chosen = part if state is None else at_state(part, wanted, state, group, known)
                 name = f"{summary.name}:{position.name}"
                 result.append(replace(position, part=chosen, group=group, run=index, name=name))
+            if summary.holds_one_position:
+                blocks = result[-len(held) :]
+                whole = Reduction.stacked([block.part for block in blocks])
+                times = blocks[0].begin, blocks[-1].end
+                merged = replace(blocks[0], part=whole, name=summary.name, block=False)
+                result[-len(held) :] = [replace(merged, begin=times[0], end=times[1])]
         return result
 
     def interval(self, estimate: Estimate, state: ServoState | None) -> Interval:

@@ -47,6 +47,8 @@ SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
 _LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
+_STEADY = 1e-3
+"""Relative change of the force below which a run of one segment holds one position."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,13 @@ class RunSummary(Result):
         """Triangle ``[columns | y]`` of each phase group, with the scatter of the positions in its weights."""
         alone = [position.part.without((RATE,), position.variance) for position in self.positions]
         return tuple(merged_groups(alone, tuple(position.group for position in self.positions)))
+
+    @property
+    def holds_one_position(self) -> bool:
+        """True if the run has one segment in which the force stays the same."""
+        ranges = [self.ranges["a_x"], self.ranges["a_t"]]
+        largest = max(abs(end) for limits in ranges for end in limits)
+        return len(self.segments) == 1 and all(high - low <= _STEADY * largest for low, high in ranges)
 
     @classmethod
     @one_thread()
