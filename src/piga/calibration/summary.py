@@ -146,8 +146,8 @@ class RunSummary(Result):
     @property
     def holds_one_position(self) -> bool:
         """True if the run has one segment in which the force stays the same."""
-        ranges = [self.ranges["a_x"], self.ranges["a_t"]]
-        largest = max(abs(end) for limits in ranges for end in limits)
+        ranges = [self.ranges[name] for name in ("a_x", "a_t") if name in self.ranges]
+        largest = max((abs(end) for limits in ranges for end in limits), default=0.0)
         return len(self.segments) == 1 and all(high - low <= _STEADY * largest for low, high in ranges)
 
     @classmethod
