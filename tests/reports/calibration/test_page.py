@@ -51,6 +51,12 @@ def test_coefficients_are_rounded_by_their_uncertainty(cal):
     assert any("k2 is smaller than its own uncertainty" in note for note in table.notes)
 
 
+def test_correlations_are_those_of_the_covariance(cal):
+    cells = tables(calibration_page(cal))["coefficients"][1].cells
+    expected = cal.covariance[1, 0] / math.sqrt(cal.covariance[0, 0] * cal.covariance[1, 1])
+    assert float(cells[1][1].text.replace("−", "-")) == pytest.approx(expected, abs=0.005)
+
+
 def test_budget_combines_the_sources(cal):
     sources, *parts = tables(calibration_page(cal))["budget"]
     cells, names = parts[0].cells, ["Fit to the record", "Reference scale", "Reference misalignment"]
