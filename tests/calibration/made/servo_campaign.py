@@ -3,7 +3,7 @@
 Run as ``python -m tests.calibration.made.servo_campaign --tests 1000 --out FILE [--record]``: a row of Markdown for
 the model with the servo's terms and one for the model without. Every record has a servo, a coupling, a bias and starting
 angles of its own; the motion of ``DESIGNS`` records is integrated by the twin (equal to SciPy's rigid body:
-``test_servo.py``) and used again with new noise. The noise is that of the shipped record: 5.2 arcsec white (a count
+``test_servo_truth.py``) and used again with new noise. The noise is that of the shipped record: 5.2 arcsec white (a count
 of 18 arcsec), walk of 1 arcsec/sqrt(s).
 """
 
