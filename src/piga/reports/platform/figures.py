@@ -180,37 +180,18 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
 
 
 def histories_figure(comparison: ModelComparisonRun) -> Figure:
-    """Errors over the whole run: east velocity, heading, roll, horizontal position."""
-    times = next(iter(comparison.models.values())).errors.times
-    axis, unit = time_axis(float(times[-1]))
-    return _channels(
-        comparison,
-        slice(None),
-        axis,
-        unit,
-        "fig-histories",
-        "Navigation errors over the run",
+    """Errors over the whole run: east velocity, heading, roll."""
+    caption = (
         "The models leave the Schuler motion of the start and, model A, a line that grows. Without a model the "
-        "errors are far larger and would hide these.",
-        0.0,
+        "errors are far larger and would hide these."
     )
+    return _channels(comparison, "fig-histories", "Navigation errors over the run", caption)
 
 
 def published_figure(comparison: ModelComparisonRun) -> Figure:
     """The last forty minutes, as the publication shows day ten: the oscillation left at the case period."""
-    times = next(iter(comparison.models.values())).errors.times
-    begin = max(0.0, float(times[-1]) - 40.0 * MINUTE)
-    part = slice(int(np.searchsorted(times, begin)), None)
-    return _channels(
-        comparison,
-        part,
-        "time before the end [min]",
-        MINUTE,
-        "fig-last-minutes",
-        "The last forty minutes",
-        "Means taken out. The period is that of the case rotation.",
-        float(times[-1]),
-    )
+    caption = "Means taken out. The period is that of the case rotation."
+    return _channels(comparison, "fig-last-minutes", "The last forty minutes", caption, last=True)
 
 
 _CORRECTED: Sequence[str] = ("A", "B", "C")
@@ -218,15 +199,12 @@ _CORRECTED: Sequence[str] = ("A", "B", "C")
 
 
 def _channels(
-    comparison: ModelComparisonRun,
-    part: slice,
-    axis: str,
-    unit: float,
-    key: str,
-    title: str,
-    caption: str,
-    origin: float,
+    comparison: ModelComparisonRun, key: str, title: str, caption: str, *, last: bool = False
 ) -> Figure:
+    """Errors of the models over the run; ``last``: over its last forty minutes, less their means."""
+    end = next(iter(comparison.models.values())).errors.times[-1]
+    axis, unit = ("time before the end [min]", MINUTE) if last else time_axis(float(end))
+    begin, origin = (max(0.0, end - 40.0 * MINUTE), end) if last else (0.0, 0.0)
     shown = {m: r for m, r in comparison.models.items() if m in _CORRECTED} or dict(comparison.models)
     over = _quiet(comparison)
     if over > 1:
@@ -241,8 +219,9 @@ def _channels(
         plot.panel(axis, quantity)
         for model, run in shown.items():
             e, width = run.errors, over if k else 1
+            part = slice(int(np.searchsorted(e.times, begin)), None)
             values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
-            values = averaged(values - values.mean() if origin else values, width)
+            values = averaged(values - values.mean() if last else values, width)
             times = averaged(e.times[part] - origin, width) / unit
             plot.line(times, values, model_name(model), _MODEL_ROLES[model])
     return plot.caption(caption)
