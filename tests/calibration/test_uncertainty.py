@@ -114,14 +114,15 @@ def test_distributions_of_type_b() -> None:
 
 @pytest.mark.long
 def test_coarse_counts_at_locked_positions_give_honest_intervals() -> None:
-    """The price of plain whitening: up to four times wider than the bound, and never narrow."""
+    """Half to twice the bound: it treats counting as white noise, which is too much where the output turns, and too little
+    where it nearly stands."""
     scenario = SCENARIOS["coarse-slow"]
     run = scenario.record(np.random.default_rng(5))
     white = np.sqrt(np.diag(scenario.bound(run)))
     calibration = scenario.calibrate(run)
     ratio = np.array([c.std for c in calibration.coefficients]) / white
-    assert (ratio < 5.0).all()
-    assert (ratio > 0.9).all()
+    assert (ratio < 2.5).all()
+    assert (ratio > 0.3).all()
     assert (
         np.abs(scenario.errors(calibration)) < 4.0 * np.array([c.std for c in calibration.coefficients])
     ).all()

@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import piga
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.weights import RATE, Noise, find_scatter, joined, likeliest_levels, with_scatter
+from piga.calibration.weights import (
+    RATE,
+    Noise,
+    counted_rates,
+    find_scatter,
+    joined,
+    likeliest_levels,
+    with_scatter,
+)
 
 H = 0.1
 
@@ -44,6 +53,48 @@ def test_joined_increments_have_the_same_sum_and_begin_where_stretches_do() -> N
     assert longer.sum() == pytest.approx(h.sum())
     assert (longer == 0.0).sum() == 3
     assert (longer[at[:-1]] == 0.0).all()
+
+
+def rounding_errors(rng: np.random.Generator, turned: np.ndarray, rows: int, walk: float = 0.0) -> np.ndarray:
+    """Errors of readings in whole counts (G, n) where the output turns by ``turned`` (G,) counts from reading to reading."""
+    angle = turned[:, None] * np.arange(rows) + rng.uniform(0.0, 1.0, (turned.size, 1))
+    noisy = angle + walk * np.sqrt(H) * np.cumsum(rng.standard_normal(angle.shape), axis=1)
+    return np.round(noisy) - angle
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.03])
+def test_rounding_that_neighbouring_readings_share_is_no_walk(walk: float) -> None:
+    """Two of twelve positions nearly stand: without a floor the walk would be several times that of the record."""
+    rows, turned = 1000, np.array([25.4525, 22.04, 12.725, -0.0075, -12.7275, -22.0425] * 2)
+    h, edges = stretches(12, rows)
+    error = rounding_errors(np.random.default_rng(8), turned, rows, walk)
+    d = np.diff(error, axis=1, prepend=error[:, :1]).ravel()
+    noise = likeliest_levels(d, h, edges, H, 2, np.sqrt(0.95 / 12.0))
+    assert noise.angle_rms == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
+    assert noise.angle_random_walk == pytest.approx(walk, rel=0.3, abs=0.01)
+    assert likeliest_levels(d, h, edges, H, 2, 0.0).angle_random_walk > 0.2
+
+
+@pytest.mark.parametrize("periods", [2, 5])
+def test_slope_of_a_saw_tooth(periods: int) -> None:
+    """Slopes fitted to roundings of an output that passes few counts, beside whole counts from reading to reading."""
+    rows, count = 400, 1e-3
+    turned = np.full(800, 7.0 + periods / rows)
+    error = count * rounding_errors(np.random.default_rng(4), turned, rows + 1)
+    t = H * np.arange(rows + 1)
+    slopes = error @ (t - t.mean()) / np.sum((t - t.mean()) ** 2)
+    output = count * np.round(turned[:2, None] * np.arange(rows + 1)).ravel()
+    times = np.concatenate([t, t + t[-1] + 5.0])
+    segment = np.repeat(np.arange(2), rows + 1)
+    options = {"segment": segment, "resolution": count, "units": "SI"}
+    run = piga.Run.from_arrays(times, output, np.ones((times.size, 3)), scale_factor=0.09, **options)
+    predicted = counted_rates(run, count**2 / 12.0)
+    assert predicted == pytest.approx([np.mean(slopes**2)] * 2, rel=0.35)
+    assert counted_rates(run, count**2) == (0.0, 0.0)
+    run = piga.Run.from_arrays(
+        times, output * 1.05, np.ones((times.size, 3)), scale_factor=0.09, **(options | {"resolution": 0.0})
+    )
+    assert counted_rates(run, count**2 / 12.0) == ()
 
 
 def positions(rng: np.random.Generator, scatter: float, count: int = 24) -> list[Reduction]:

@@ -134,7 +134,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     raw = Design(run, request, run.scale_factor, plain.design.servo)
     resolution = resolution_of(run)
     misses = misses_of(raw, robust_values(raw))
-    if fit.noise.scatter > 0.0 or fit.noise.stated:
+    if fit.noise.rate_variances(len(run.labels)).any():
         misses = without_rates(misses, Positions.of(run).edges, resolution)
     raw.forget()
     noise = first_noise(misses, parameters)
@@ -185,7 +185,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
         noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:
         noise = find_scatter(parts, noise, design.local_names if design.has_phases else ())
-    if noise.scatter > 0.0 or noise.stated:
+    if noise.rate_variances(positions.count).any():
         summaries = of_segments(with_scatter(parts, noise), positions)
         solution = solve(design, summaries)
         d, h = residual_increments(design, solution.values)

@@ -50,13 +50,10 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     d, h = residual_increments(design, values)
     before = _nominal_increments(design)
     whitened = _whitened(d, h, noise, mode, run.median_step)
-    if mode == "increments" and (noise.scatter > 0.0 or noise.stated):
-        _take_rates(
-            whitened,
-            _whitened(h, h, noise, mode, run.median_step),
-            run.segment_index,
-            noise.rate_variances(len(run.labels)),
-        )
+    variances = noise.rate_variances(len(run.labels))
+    if mode == "increments" and variances.any():
+        rates = _whitened(h, h, noise, mode, run.median_step)
+        _take_rates(whitened, rates, run.segment_index, variances)
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
@@ -156,7 +153,7 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     slopes, expected, slow = [], [], []
     count = count_of(design.run)
     counted = min(noise.white, count**2 / 12.0)
-    variances = noise.rate_variances(len(design.run.labels))
+    variances = replace(noise, counted=()).rate_variances(len(design.run.labels))
     for left, right in pairwise(design.run.segment_edges()):
         t = residuals.t[left:right]
         duration = float(t.max() - t.min())

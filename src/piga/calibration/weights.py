@@ -36,13 +36,14 @@ class Noise:
     """Variances: white angle noise ``white`` = r [rad^2], random walk ``walk`` = q [rad^2/s].
 
     ``scatter`` [rad^2/s^2] is the variance of the rate from position to position. ``stated`` [rad^2/s^2] is that of each
-    position by the run file (sources with a new value at each position); empty if it states none.
+    position by the run file (sources with a new value at each position), ``counted`` that by rounding; empty if there is none.
     """
 
     white: float
     walk: float
     scatter: float = 0.0
     stated: tuple[float, ...] = ()
+    counted: tuple[float, ...] = ()
 
     @property
     def angle_rms(self) -> float:
@@ -62,7 +63,8 @@ class Noise:
     def rate_variances(self, count: int) -> Array:
         """Variance of the rate of each of ``count`` positions [rad^2/s^2]."""
         stated = np.array(self.stated) if self.stated else np.zeros(count)
-        return stated + self.scatter
+        counted = np.array(self.counted) if self.counted else np.zeros(count)
+        return stated + counted + self.scatter
 
     def of_rows(self, design: Design) -> Noise:
         """The levels of the rows of a design, which may be means of samples."""
@@ -119,6 +121,24 @@ class Positions:
     def times(self, run: Run) -> tuple[Array, Array]:
         """Begin and end of each position [s]."""
         return np.asarray(run.t[self.edges[:-1]]), np.asarray(run.t[self.edges[1:] - 1])
+
+
+def counted_rates(run: Run, white: float) -> tuple[float, ...]:
+    """Variance of the rate of each position by rounding that its readings share [rad^2/s^2]; empty without counts.
+
+    Rounding is a saw-tooth of m periods in a position, m: counts passed, beside whole counts per reading. A fitted slope
+    has the mean square ``count^2/(5 m^2 T^2)``, less where white noise hides the saw-tooth; 0 where ``white`` makes more.
+    """
+    positions, count = Positions.of(run), run.resolution
+    if count == 0.0 or run.kind == "rate" or positions.continuous:
+        return ()
+    begin, end = positions.times(run)
+    first, last = positions.edges[:-1], positions.edges[1:] - 1
+    passed, rows = (run.output[last] - run.output[first]) / count, np.maximum(last - first, 1)
+    left = 0.2 * math.exp(-4.0 * math.pi**2 * max(white / count**2 - 1.0 / 12.0, 0.0))
+    shared = left * count**2 / (1.0 + (passed - rows * np.round(passed / rows)) ** 2)
+    rates = np.where(shared * rows > 12.0 * white, shared, 0.0) / np.maximum(end - begin, 1e-9) ** 2
+    return tuple(rates.tolist())
 
 
 @dataclass(frozen=True)
@@ -266,7 +286,9 @@ def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> No
     if mode == "samples":
         variance = float(d @ d) / max(design.rows - fitted, 1)
         return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
-    return likeliest_levels(d, h, edges, step, fitted, rounding(design.run))
+    least = math.sqrt(_ROUNDED / 12.0) * design.run.resolution
+    noise = likeliest_levels(d, h, edges, step, fitted, max(rounding(design.run), least))
+    return noise if mode == "rates" else replace(noise, counted=counted_rates(design.run, noise.white))
 
 
 _SPACING = 1.5
@@ -277,6 +299,10 @@ _FIRST_ROWS = 1 << 16
 """Rows of the search; of a longer record neighbouring increments are joined."""
 _TOLERANCE = 0.02
 """Tolerance of the ratio [natural logarithm]."""
+_ROUNDED = 0.95
+"""Least white noise, as a share of the variance of rounding to counts, q^2/12 (own choice: chance in 1500 readings)."""
+_FEWEST_JOINED = 16
+"""Increments in the longest position that are not joined further (own choice)."""
 _SCATTER_RANGE = (-5.0, 14.0)
 """Range of the scatter over the noise of a mean rate [natural logarithm of the variance]."""
 
@@ -292,7 +318,8 @@ def likeliest_levels(
     """Levels of the largest restricted likelihood; the rate of each stretch between ``edges`` is free.
 
     ``floor`` [rad] is the smallest white noise. The ratio of walk to white noise is found with neighbouring increments of a long
-    record joined.
+    record joined. White noise at the floor says that neighbouring readings share their rounding, which would pass for a walk:
+    then increments are joined by two until their rounding is white.
     """
     from scipy.optimize import minimize_scalar
 
@@ -304,8 +331,9 @@ def likeliest_levels(
         logarithm = rate_sums(rows[0], rows[1], rows[2], ratio / step, sums)
         hh, hd, dd = sums[sums[:, 0] > 0.0].T
         freedom = max(count - hh.size - fitted, 1)
-        square = max(float((dd - hd**2 / hh).sum()), freedom * floor**2)
-        return freedom * math.log(square / freedom) + logarithm + float(np.log(hh).sum()), square / freedom
+        square = float((dd - hd**2 / hh).sum())
+        white = max(square / freedom, floor**2)
+        return freedom * math.log(white) + square / white + logarithm + float(np.log(hh).sum()), white
 
     low, high = math.log((math.pi / longest) ** 2 / longest) - 4.0, math.log(_LARGEST_RATIO)
     grid = np.arange(low, high + _SPACING, _SPACING)
@@ -320,7 +348,10 @@ def likeliest_levels(
     )
     ratio = math.exp(float(found.x))
     (none, white), (least, beside) = (deviance(value, (d, h, edges), count) for value in (0.0, ratio))
-    if none < least + _WALK_GAIN:
+    still = none < least + _WALK_GAIN
+    if (white if still else beside) <= floor**2 and longest >= 2 * _FEWEST_JOINED:
+        return likeliest_levels(*joined(d, h, edges, 2), 2.0 * step, fitted, floor)
+    if still:
         return Noise(white, 0.0)
     return Noise(beside, beside * ratio / step)
 

@@ -32,6 +32,7 @@ from piga.calibration.weights import (
     Extra,
     Noise,
     Positions,
+    counted_rates,
     of_segments,
     reduce_positions,
     reduce_segments,
@@ -364,6 +365,7 @@ def predict(
     run = noiseless_run(request, visits)
     duration = _duration_of(visits, request.move)
     noise, wish = _noise_of(request), request_of(request.model)
+    noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     try:
@@ -380,7 +382,7 @@ def predict(
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
     named, covariance = name_coefficients(design, solution, solution.covariance)
-    if request.scenario.electronics.kind == "counts" and request.unit == GYRO:
+    if run.resolution > 0.0:
         stated = _stated_with_counts(request, design, mode, noise)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
     degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
@@ -402,7 +404,7 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: 
     What the counts add to the noiseless output of each record is one more column of the same reduction.
     """
     e, whole, positions = request.scenario.electronics, design.run, Positions.of(design.run)
-    rng, count = np.random.default_rng(0), 2.0 * math.pi / e.counts_per_revolution
+    rng, count = np.random.default_rng(0), whole.resolution
     walk = e.angle_random_walk * math.sqrt(whole.median_step)
     rows, changes = design.means, []
     for _ in range(_COUNTED_RECORDS):
@@ -442,8 +444,13 @@ def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:
     )
     log = simulate_test(stand, request.scenario.specimen, quiet).log
     run = run_of(request, log.t, log.output, log.reference, log.base_rate, log.segment)
+    counted = e.kind == "counts" and request.unit == GYRO
     return replace(
-        run, uncertainty=request.uncertainty, stand=stand_table(request, visits), source=str(request.path)
+        run,
+        uncertainty=request.uncertainty,
+        stand=stand_table(request, visits),
+        source=str(request.path),
+        resolution=2.0 * math.pi / e.counts_per_revolution if counted else 0.0,
     )
 
 

@@ -242,11 +242,10 @@ def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
     reduced, _ = reduce_between(
         design, fit.mode, fit.noise, np.append(cuts, edges[-1]), _columns_of(fit, extra)
     )
-    pieces = []
+    variances, pieces = replace(fit.noise, scatter=0.0).rate_variances(segments), []
     for number, part in enumerate(reduced):
         segment = number // parts
-        variance = fit.noise.stated[segment] if fit.noise.stated else 0.0
-        rows = part.without((RATE,), variance).factor
+        rows = part.without((RATE,), float(variances[segment])).factor
         rows[:, -1] -= rows[:, :m] @ fit.solution.values[segment]
         rows[:, m:-1] = rows[:, m:-1] @ _turn(fit, segment, extra)
         pieces.append(parameter_rows(design, fit.solution, segment, rows))
