@@ -88,3 +88,5 @@ def test_records_of_a_store(tmp_path, capsys):
     assert trend_of_k0["drift_per_year"]["value"] == pytest.approx(2e-6, rel=1e-6)
     with pytest.raises(PigaError):
         list(records_of([], str(tmp_path / "none.sqlite"), "G-0417"))
+    with pytest.raises(PigaError, match=r"holds no record of 'G-417'\n  remedy: --serial is one of: G-0417"):
+        list(records_of([], str(path), "G-417"))

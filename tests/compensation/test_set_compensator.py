@@ -11,6 +11,7 @@ import pytest
 
 import piga
 from piga.compensation import Mounted, SetCompensator, compensate_set, identify_phase
+from piga.terms import PRODUCTS
 from piga.units import G0
 from tests.compensation.triads import PHASES, SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
@@ -33,13 +34,23 @@ def test_constant_force_comes_back_in_any_mounting(axes):
     assert np.abs(compensated.f[1:] - f[1:]).max() < max(rounding, 1e-13)
 
 
+ALL_TERMS = {
+    "k0": 1e-3, "k1": -2e-3, "k2": 2e-3, "k3": 1e-4, "k1a": 1e-4, "k2o": 5e-5, "m_Y": 2e-4, "m_Z": -1e-4,
+    "k_XY": 1e-4, "k_XZ": 2e-5, "k_YY": -3e-5, "k_ZZ": 4e-5, "k_YZ": 3e-5,
+}  # fmt: skip
+"""A value for each term that is a product of forces."""
+
+
+def test_each_product_of_forces_is_tried_in_a_set() -> None:
+    assert set(ALL_TERMS) == set(PRODUCTS) - {"scale_factor", "k0_t", "k0_T", "k1_T", "k2v"}
+
+
 @pytest.mark.parametrize("axes", [orthogonal(), [rotation(a) for a in SKEWED]])
 def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
     t = np.arange(ROWS) * 0.01
     f = np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
-    errors = {"k0": 1e-3, "k1": -2e-3, "k2": 2e-3, "m_Y": 2e-4, "k_XY": 1e-4, "k_YZ": 3e-5}
-    angle, mounted = made(t, f, axes, errors=errors)
-    rate, _ = made(t, f, axes, "rate", errors=errors)
+    angle, mounted = made(t, f, axes, errors=ALL_TERMS)
+    rate, _ = made(t, f, axes, "rate", errors=ALL_TERMS)
     stream = SetCompensator(mounted, sampled=True)
     rows = stream.push(t, [r.output for r in angle], rate=[r.output for r in rate])
     assert np.abs(rows.f - f).max() < 1e-12 * G0

@@ -124,7 +124,7 @@ PREPARATIONS: dict[str, tuple[Callable[[Runner], None], ...]] = {
     "docs/how-to/triad.md": (triad,),
     "docs/how-to/choosing-terms.md": (bench,),
     "README.md": (demo,),
-    "docs/how-to/records.md": (bench,),
+    "docs/how-to/records.md": (demo,),
     "docs/reference/examples/compensation.md": (bench,),
     "docs/reference/examples/ledger.md": (bench,),
     "docs/reference/examples/records.md": (bench,),

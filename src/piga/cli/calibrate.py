@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -200,5 +202,6 @@ def demo(
             write_results(calibration, to.stage)
         with progress("compensating"):
             compensate(record, calibration).to_parquet(to / "compensated.parquet")
-        again = f"To go on: change {to.folder}/{run.name} and run: piga calibrate {to.folder}/{run.name}"
+        program = "piga" if shutil.which("piga") else sys.argv[0]  # an environment that is not activated
+        again = f"To go on: change {to.folder}/{run.name} and run: {program} calibrate {to.folder}/{run.name}"
         to.tell(dict, lambda: f"{calibration.summary()}\n\n{again}")

@@ -402,6 +402,10 @@ class CommandGroup(TyperGroup):
     bool, so the ``--help`` of the group, when not given, caused this import. Here a missing ``--help`` is False.
     """
 
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """The first sentence for the list of a group, whole."""
+        return super().get_short_help_str(max(limit, _LONGEST))
+
     def get_help_option(self, ctx: Any) -> TyperOption | None:
         """The option ``--help``. It is False if not given."""
         option = super().get_help_option(ctx)

@@ -124,7 +124,7 @@ def _verification_lines(verification: Verification) -> Iterator[str]:
     """The result of a verification; what is wrong goes to stderr."""
     v = verification
     if v.sound:
-        yield f"{v.name}: sound: {v.records} records and {v.files} files are what they were"
+        yield f"{v.name}: sound: {counted(v.records, 'record')} and {counted(v.files, 'file')} are what they were"
     for head, number in v.known.items():
         if number is not None:
             yield f"known head {head[:16]}... is that after record {number}"

@@ -75,7 +75,16 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
     from piga.ledger.store import open_store
 
     with open_store(store) as opened:
-        yield from opened.history(serial)
+        entries = opened.history(serial)
+        if not entries:
+            kept = sorted({record.document.serial for record in opened.each()})
+            raise PigaError(
+                f"{store}: holds no record of '{serial}'",
+                remedy=f"--serial is one of: {', '.join(kept[:9])}"
+                if kept
+                else "add records: piga records add",
+            )
+        yield from entries
 
 
 def _files(sources: list[Path]) -> list[Path]:

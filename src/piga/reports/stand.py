@@ -237,7 +237,7 @@ def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     sections.append(_truth_section(test))
     duration = test.profile.segments[-1].stop - test.profile.segments[0].start
     return Page(
-        title=f"Simulated test of {serial}",
+        title="Simulated test" if serial == "simulated" else f"Simulated test of {serial}",
         subtitle=f"{test.stand.kind}, {_model(test)}, {short(duration)} s, seed {test.seed}.",
         tiles=_tiles(test),
         sections=tuple(sections),

@@ -338,7 +338,7 @@ def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], 
 
 # --- the answer -----------------------------------------------------------------------------------
 
-_LIGHTS = {"clear": ("green", "Good"), "doubt": ("amber", "Look first"), "do not use": ("red", "Do not use")}
+_LIGHTS = {"clear": ("green", "Clear"), "doubt": ("amber", "Doubt"), "do not use": ("red", "Do not use")}
 """Colour and words of each grade."""
 
 
