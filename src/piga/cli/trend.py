@@ -75,8 +75,8 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
     from piga.ledger.store import open_store
 
     with open_store(store) as opened:
-        entries = opened.history(serial)
-        if not entries:
+        calibrations = opened.history(serial)
+        if not calibrations:
             kept = sorted({record.document.serial for record in opened.each()})
             raise PigaError(
                 f"{store}: holds no record of '{serial}'",
@@ -84,7 +84,7 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
                 if kept
                 else "add records: piga records add",
             )
-        yield from entries
+        yield from calibrations
 
 
 def _files(sources: list[Path]) -> list[Path]:
