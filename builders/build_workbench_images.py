@@ -26,7 +26,7 @@ SIZE = {"width": 1300, "height": 900}
 
 def take(page: Page, name: str) -> None:
     """What the window shows, as a PNG of 256 colours."""
-    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB").quantize(256)
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
     picture.save(IMAGES / f"{name}.png", optimize=True)
 
 

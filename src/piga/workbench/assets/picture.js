@@ -51,7 +51,7 @@ const startPicture = () => {
     find("readout").textContent = [`${time.toFixed(3)} s`, position ? `position ${position.name}` : "between positions", ...values].filter(Boolean).join(" · ");
   };
 
-  const band = (u, one, fill, label) => {
+  const band = (u, one, fill, label, next) => {
     const left = Math.max(u.valToPos(one.first, "x", true), u.bbox.left);
     const right = Math.min(u.valToPos(one.last, "x", true), u.bbox.left + u.bbox.width);
     if (right < u.bbox.left || left > u.bbox.left + u.bbox.width) return;
@@ -59,14 +59,15 @@ const startPicture = () => {
     u.ctx.fillRect(left, u.bbox.top, Math.max(right - left, 2), u.bbox.height);
     if (!label) return;
     u.ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
-    if (u.ctx.measureText(label).width > right - left - 4) return;
+    const room = next ? u.valToPos(next.first, "x", true) - left : right - left; // a name may stand over the move after it
+    if (u.ctx.measureText(label).width > room - 2) return;
     u.ctx.fillStyle = colour("--soft");
     u.ctx.textAlign = "center";
     u.ctx.fillText(label, (left + right) / 2, u.bbox.top + 13 * devicePixelRatio);
   };
   const bands = (u) => {
     u.ctx.save();
-    record.positions.forEach((one, index) => band(u, one, index % 2 ? colour("--band") : "transparent", one.name));
+    record.positions.forEach((one, index) => band(u, one, index % 2 ? colour("--band") : "transparent", one.name, record.positions[index + 1] ?? { first: 2 * one.last - one.first }));
     record.left_out.forEach((one) => band(u, one, colour("--left-out"), `left out: ${one.name}`));
     record.moves.forEach((one) => band(u, one, colour("--moves"), "moves"));
     if (marked) band(u, { first: marked[0], last: marked[1] }, colour("--left-out"), "marked");
