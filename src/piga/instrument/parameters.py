@@ -208,7 +208,7 @@ def instrument_of(calibration: Calibration, alpha0: Quantity = 0.0) -> Instrumen
 def error_model_of(calibration: Calibration) -> ErrorModel:
     """The other coefficients as an error model: :meth:`piga.Calibration.error_model`.
 
-    A calibration counts the drift ``k0_t`` from its reference time, an error model from time zero.
+    A calibration counts drifts, as ``k0_t``, from its reference time, an error model from time zero.
     """
     values = {c.key: c.value_si for c in calibration.coefficients if c.name not in MOTION}
     available = ErrorModel.__dataclass_fields__
@@ -220,6 +220,8 @@ def error_model_of(calibration: Calibration) -> ErrorModel:
             PigaWarning,
             stacklevel=4,
         )
-    if "k0_t" in terms:
-        terms["k0"] = terms.get("k0", 0.0) - terms["k0_t"] * calibration.time_reference
+    for drift in [name for name in terms if "t" in PRODUCTS.get(name, ())]:
+        rest = tuple(factor for factor in PRODUCTS[drift] if factor != "t")
+        base = next(name for name in available if PRODUCTS.get(name) == rest)
+        terms[base] = terms.get(base, 0.0) - terms[drift] * calibration.time_reference
     return ErrorModel.from_terms(terms | {"T_ref": calibration.temperature_reference})
