@@ -6,13 +6,11 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numba
 import pytest
 
 import piga._kernels.jit  # noqa: F401
-from piga.cli.bar import Bar
 from piga.cli.common import progress
 from piga.data import copy_example
 from piga.progress import FIRST_USE
@@ -67,10 +65,3 @@ def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture
         for more in (1, 2):
             numba.njit(lambda x, more=more: x + more)(1)
     assert capsys.readouterr().err.splitlines() == [f"calibrating; {FIRST_USE}"]
-
-
-def test_a_bar_is_drawn_while_the_kernels_are_being_imported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bar is drawn by a thread of its own, which can meet the module half imported."""
-    monkeypatch.setitem(sys.modules, "piga._kernels.jit", ModuleType("piga._kernels.jit"))
-    with Bar("working", 10) as bar:
-        bar._bar.refresh()

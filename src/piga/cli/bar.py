@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
 from rich.table import Column
 from rich.text import Text
 
-from piga.progress import FIRST_USE
+from piga.progress import FIRST_USE, WHEN_COMPILED
 
-WIDE = 90
+_WIDE = 90
 """Columns of a terminal from which on the bar is long."""
 
 
@@ -21,53 +21,22 @@ class _Time(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """The column of one line."""
-        passed = f"{task.elapsed or 0.0:.0f} s"
-        left = task.time_remaining
+        passed, left = f"{task.elapsed or 0.0:.0f} s", task.time_remaining
         return Text(passed if not task.total or left is None else f"{passed}, {left:.0f} s left", style="cyan")
 
 
-class _Compiling(ProgressColumn):
-    """Says that kernels are compiled."""
-
-    def render(self, _task: Task) -> Text:
-        """The column of one line."""
-        jit = sys.modules.get("piga._kernels.jit")
-        compiling = getattr(
-            jit, "compiling", None
-        )  # missing while another thread is still importing the module
-        return Text(FIRST_USE if compiling is not None and compiling() else "")
-
-
-class Bar:
+@contextmanager
+def bar(title: str, total: int | None) -> Iterator[Callable[[float, float | None, str], None]]:
     """A line on stderr that shows what is done and how far it is. It disappears at the end."""
+    console = Console(stderr=True)
+    words = TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
+    share, time = BarColumn(24 if console.width >= _WIDE else 8), _Time(table_column=Column(no_wrap=True))
+    with Progress(SpinnerColumn("line"), words, share, time, console=console, transient=True) as drawn:
+        task = drawn.add_task(title, total=total)
 
-    def __init__(self, title: str, total: int | None = None) -> None:
-        console = Console(stderr=True)
-        columns = (
-            SpinnerColumn("line"),
-            TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
-            BarColumn(24 if console.width >= WIDE else 8),
-            _Time(table_column=Column(no_wrap=True)),
-            _Compiling(table_column=Column(no_wrap=True, overflow="ellipsis")),
-        )
-        self._bar = Progress(*columns, console=console, transient=True)
-        self._title = title
-        self._task = self._bar.add_task(title, total=total)
+        def show(done: float, total: float | None, what: str) -> None:
+            said = f"{title}: {what}" if what else title
+            drawn.update(task, completed=done, total=total, description=said)
 
-    def __enter__(self) -> Bar:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def show(self, done: float, total: float | None, what: str) -> None:
-        """``done`` of ``total`` are done, and ``what`` comes now."""
-        self._bar.update(
-            self._task,
-            completed=done,
-            total=total,
-            description=f"{self._title}: {what}" if what else self._title,
-        )
+        WHEN_COMPILED[:] = [lambda: drawn.update(task, description=f"{title}; {FIRST_USE}")]
+        yield show

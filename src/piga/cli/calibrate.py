@@ -42,26 +42,18 @@ RunFilesArgument = Annotated[
 def calibrate(
     runs: RunFilesArgument,
     out: Annotated[
-        Path | None,
-        option("--out", "DIR", "Folder for the results [default: RUN-calibration or joint-calibration]."),
+        Path | None, option("DIR", "Folder for the results [default: RUN-calibration or joint-calibration].")
     ] = None,
     terms: TermsOption = None,
     method: MethodOption = None,
     phases: PhasesOption = None,
     phase_source: PhaseSourceOption = None,
     per_run: Annotated[
-        str | None,
-        option(
-            "--per-run", "A,B,...", "Terms with a value of their own in each run [default: k0]; '' for none."
-        ),
+        str | None, option("A,B,...", "Terms with a value of their own in each run [default: k0]; '' for none.")
     ] = None,
     compare: Annotated[
         str | None,
-        option(
-            "--compare",
-            "'A,B; A,B,C; ...'",
-            "Sets of terms to compare. They replace [model] compare of the run file.",
-        ),
+        option("'A,B; A,B,C; ...'", "Sets of terms to compare. They replace [model] compare of the run file."),
     ] = None,
     summary: Annotated[
         bool,
@@ -181,7 +173,7 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
 
 
 def demo(
-    out: Annotated[Path, option("--out", "DIR", "Folder for the results.")] = Path("piga-demo"),
+    out: Annotated[Path, option("DIR", "Folder for the results.")] = Path("piga-demo"),
     force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""

@@ -24,13 +24,10 @@ if TYPE_CHECKING:
     from piga.campaign.run import RunReport
     from piga.campaign.shards import Campaign
 
-app = App(
-    "campaign",
-    "Run thousands of tests, on one machine or many.",
-)
+app = App("campaign", "Run thousands of tests, on one machine or many.")
 
 File = Annotated[Path, argument("CAMPAIGN.toml", "Campaign file.", show_default=False)]
-Out = Annotated[Path, option("--out", "DIR", "Folder of the campaign.")]
+Out = Annotated[Path, option("DIR", "Folder of the campaign.")]
 Folder = Annotated[Path, argument("DIR", "Folder of the campaign.", show_default=False)]
 _INCOMPLETE = 1
 """Exit code if shards could not be computed, or the run was stopped."""
@@ -53,12 +50,8 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
 def run(
     campaign: File,
     out: Out,
-    workers: Annotated[
-        int | None, option("--workers", "N", "Processes on this machine [default: one per core].")
-    ] = None,
-    executor: Annotated[
-        str | None, option("--executor", "dask://HOST:PORT", "Scheduler of a Dask cluster.")
-    ] = None,
+    workers: Annotated[int | None, option("N", "Processes on this machine [default: one per core].")] = None,
+    executor: Annotated[str | None, option("dask://HOST:PORT", "Scheduler of a Dask cluster.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compute all records that are not computed yet.
@@ -129,9 +122,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
 @app.command()
 def repeat(
     campaign: File,
-    case: Annotated[int, option("--case", "N", "Number of the case, from 0.", min=0)],
-    repeat: Annotated[int, option("--repeat", "N", "Number of the repeat, from 0.", min=0)],
-    out: Annotated[Path | None, option("--out", "DIR", "Folder for the files of the record.")] = None,
+    case: Annotated[int, option("N", "Number of the case, from 0.", min=0)],
+    repeat: Annotated[int, option("N", "Number of the repeat, from 0.", min=0)],
+    out: Annotated[Path | None, option("DIR", "Folder for the files of the record.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -16,16 +16,14 @@ from piga.cli.common import (
     argument,
     day_in,
     deliver,
+    deliver_file,
     files_named_in,
     flag,
     note,
     option,
-    say,
     tell,
-    write_by_rename,
 )
 from piga.errors import PigaError
-from piga.output import check_outputs
 
 if TYPE_CHECKING:
     from piga.certificate.certificate_file import CertificateFile
@@ -53,26 +51,22 @@ app = App(
     cls=_IssueByDefault,
 )
 
-PemOption = Annotated[Path | None, option("--certificate", "PEM", "X.509 certificate of the laboratory.")]
+PemOption = Annotated[Path | None, option("PEM", "X.509 certificate of the laboratory.")]
 AtOption = Annotated[
-    str | None,
-    option("--at", "YYYY-MM-DD", "Day on which the X.509 certificate must be valid, instead of today."),
+    str | None, option("YYYY-MM-DD", "Day on which the X.509 certificate must be valid, instead of today.")
 ]
 
 
 @app.command()
 def issue(
     calibration: Annotated[Path, argument("CALIBRATION.json", "Calibration to certify.", show_default=False)],
-    data: Annotated[
-        Path, option("--data", "CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")
-    ],
-    out: Annotated[Path, option("--out", "DIR", "Folder for the certificate.")],
+    data: Annotated[Path, option("CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")],
+    out: Annotated[Path, option("DIR", "Folder for the certificate.")],
     issued: Annotated[
-        str | None,
-        option("--issued", "YYYY-MM-DD | today", "Date of issue [default: that of the file, or today]."),
+        str | None, option("YYYY-MM-DD | today", "Date of issue [default: that of the file, or today].")
     ] = None,
     dcc: Annotated[bool, flag("--dcc", "Also write certificate.xml (DCC 3.3.0).")] = False,
-    key: Annotated[Path | None, option("--key", "PEM", "Private key that signs the XML.")] = None,
+    key: Annotated[Path | None, option("PEM", "Private key that signs the XML.")] = None,
     certificate: PemOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -186,7 +180,7 @@ def _xml(
 @app.command()
 def verify(
     file: Annotated[Path, argument("CERTIFICATE.xml", "Signed DCC.", show_default=False)],
-    certificate: Annotated[Path, option("--certificate", "PEM", "X.509 certificate that must have signed it.")],
+    certificate: Annotated[Path, option("PEM", "X.509 certificate that must have signed it.")],
     at: AtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -246,7 +240,7 @@ def _day(at: str | None) -> dt.datetime:
 @app.command()
 def read(
     file: Annotated[Path, argument("CERTIFICATE.xml", "DCC made by piga.", show_default=False)],
-    out: Annotated[Path, option("--out", "CALIBRATION.json", "File for the calibration.")],
+    out: Annotated[Path, option("CALIBRATION.json", "File for the calibration.")],
     certificate: PemOption = None,
     at: AtOption = None,
     force: ForceOption = False,
@@ -258,23 +252,24 @@ def read(
     from piga.certificate.dcc import calibration_of
     from piga.certificate.xml_signature import SIGNATURE, read_xml, verify_signature
 
-    check_outputs([out], [file, *([] if certificate is None else [certificate])], force=force)
-    day = _day(at)
-    if certificate is None:
-        root = read_xml(file)[1]
-        words = "not signed: anyone can have written it"
-        if root.find(SIGNATURE) is not None:
-            words = "its signature was not verified (--certificate does)"
-    else:
-        signed = verify_signature(file, certificate)
-        why = signed.out_of_force(day)
-        if why:
-            raise PigaError(
-                f"{file}: the signer's X.509 certificate {why}",
-                remedy="ask the issuer; --at names the day for which it is to be judged",
-            )
-        root, words = signed.document, f"signed by {signed.signer}"
-    calibration = calibration_of(root, file)
-    write_by_rename(out, calibration.to_json)
-    count = len(calibration.coefficients)
-    say(f"wrote {out}: instrument {calibration.serial}, {count} coefficients; {words}")
+    inputs = [file, *([] if certificate is None else [certificate])]
+    with deliver_file(out, "certificate-read", inputs, force=force) as to:
+        day = _day(at)
+        if certificate is None:
+            root = read_xml(file)[1]
+            words = "not signed: anyone can have written it"
+            if root.find(SIGNATURE) is not None:
+                words = "its signature was not verified (--certificate does)"
+        else:
+            signed = verify_signature(file, certificate)
+            why = signed.out_of_force(day)
+            if why:
+                raise PigaError(
+                    f"{file}: the signer's X.509 certificate {why}",
+                    remedy="ask the issuer; --at names the day for which it is to be judged",
+                )
+            root, words = signed.document, f"signed by {signed.signer}"
+        calibration = calibration_of(root, file)
+        calibration.to_json(to / out.name)
+        count = len(calibration.coefficients)
+        to.tell(dict, lambda: f"instrument {calibration.serial}, {count} coefficients; {words}")

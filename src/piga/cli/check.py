@@ -13,16 +13,15 @@ from piga.cli.common import (
     RunFileArgument,
     argument,
     deliver,
+    deliver_file,
     files_named_in,
     flag,
     option,
     progress,
     say,
     tell,
-    write_by_rename,
 )
 from piga.errors import ArgumentError, PigaError
-from piga.output import check_outputs
 
 if TYPE_CHECKING:
     from piga.calibration import TermProspect
@@ -30,9 +29,7 @@ if TYPE_CHECKING:
 
 def check(
     run: Annotated[Path | None, argument("RUN.toml", "Run file of the recorded test.")] = None,
-    out: Annotated[
-        Path | None, option("--out", "DIR", "Write check.html with a picture of the record.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Write check.html with a picture of the record.")] = None,
     fix_suggestions: Annotated[
         bool, flag("--fix-suggestions", "Print lines for the run file that settle the open questions.")
     ] = False,
@@ -40,7 +37,7 @@ def check(
         bool, flag("--terms", "Also say which terms the record determines. This takes as long as a fit.")
     ] = False,
     explain: Annotated[
-        str | None, option("--explain", "KEY", "Say what a key of any TOML file means, e.g. data.time.stamp.")
+        str | None, option("KEY", "Say what a key of any TOML file means, e.g. data.time.stamp.")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -88,7 +85,7 @@ def _explain(key: str, as_json: bool) -> None:
 
 def convert(
     run: RunFileArgument,
-    out: Annotated[Path, option("--out", "FILE.parquet", "File for the clean record.")],
+    out: Annotated[Path, option("FILE.parquet", "File for the clean record.")],
     force: ForceOption = False,
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
@@ -100,14 +97,13 @@ def convert(
 
     if out.suffix != ".parquet":
         raise PigaError(f"--out {out}: the name must end in .parquet", remedy="e.g. clean.parquet")
-    check_outputs([out], files_named_in(run), force=force)
-    with progress("reading"):
-        record = read_run(run)
-    with progress("writing"):
-        write_by_rename(out, lambda path: write_run_parquet(record, path))
-    say(f"wrote {out}: {record.size} of {record.quality.rows} rows; a run file reads it with")
-    say("")
-    say(data_table(record, out.name))
+    with deliver_file(out, "convert", files_named_in(run), force=force) as to:
+        with progress("reading"):
+            record = read_run(run)
+        with progress("writing"):
+            write_run_parquet(record, to / out.name)
+        to.tell(dict, lambda: f"{record.size} of {record.quality.rows} rows")
+    say(f"a run file reads it with\n\n{data_table(record, out.name)}")
 
 
 def suggested_lines(run: Path) -> list[str]:
@@ -124,18 +120,14 @@ def suggested_lines(run: Path) -> list[str]:
 
 def noise(
     log: Annotated[Path, argument("LOG", "Run file, or a log written by any program.")],
-    column: Annotated[str | None, option("--column", "NAME", "Column of the output, for a log.")] = None,
+    column: Annotated[str | None, option("NAME", "Column of the output, for a log.")] = None,
     kind: Annotated[
         Literal["rate", "angle"],
         typer.Option("--kind", help="rate: a voltage, a rate. angle: what is summed up, as counts, a phase."),
     ] = "rate",
-    unit: Annotated[
-        str | None, option("--unit", "UNIT", "Unit of the column [default: as in the log].")
-    ] = None,
-    sample_rate: Annotated[
-        str | None, option("--sample-rate", "RATE", "If no column holds the time, e.g. '20 Hz'.")
-    ] = None,
-    out: Annotated[Path | None, option("--out", "DIR", "Write noise.json and noise.html.")] = None,
+    unit: Annotated[str | None, option("UNIT", "Unit of the column [default: as in the log].")] = None,
+    sample_rate: Annotated[str | None, option("RATE", "If no column holds the time, e.g. '20 Hz'.")] = None,
+    out: Annotated[Path | None, option("DIR", "Write noise.json and noise.html.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import glob
 import io
 import json
 import re
@@ -10,7 +11,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -241,6 +242,14 @@ def deliver(
     say("\n".join([*([text] if text else []), *(f"wrote {line}" for line in written)]))
 
 
+def deliver_file(
+    target: Path, command: str, inputs: Sequence[Path], *, force: bool, as_json: bool = False
+) -> AbstractContextManager[Delivery]:
+    """The same for one file that the user names: it is written at ``delivery / target.name``."""
+    names = [glob.escape(target.name)]
+    return deliver(target.parent, f"{command}-{target.stem[:40]}", names, inputs, force=force, as_json=as_json)
+
+
 def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:
     """The files of a hidden folder by their final names, in the order of the patterns; those of a folder together."""
     paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
@@ -284,10 +293,10 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
         if outlet is not None:
             yield outlet(title, total)
         elif sys.stderr is not None and sys.stderr.isatty():
-            from piga.cli.bar import Bar
+            from piga.cli.bar import bar
 
-            with Bar(title, total) as drawn:
-                yield drawn.show
+            with bar(title, total) as show:
+                yield show
         else:
             WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
             yield _lines(title, every)
@@ -315,9 +324,9 @@ DOING = "while "
 """Start of the note on a stop that names what was being done."""
 
 
-def option(name: str, value: str, words: str, **more: Any) -> Any:
-    """An option: its name, what help shows for its value, and what it does; ``more`` as for ``typer.Option``."""
-    return typer.Option(name, metavar=value, help=words, **more)
+def option(value: str, words: str, *names: str, **more: Any) -> Any:
+    """An option, named as its parameter unless ``names`` are given: what help shows for its value, and what it does."""
+    return typer.Option(*names, metavar=value, help=words, **more)
 
 
 def flag(name: str, words: str) -> Any:
@@ -332,21 +341,12 @@ def argument(value: str, words: str, **more: Any) -> Any:
 
 RunFileArgument = Annotated[Path, argument("RUN.toml", "Run file of the recorded test.")]
 JsonOption = Annotated[bool, flag("--json", "Print one JSON document and nothing else.")]
-TermsOption = Annotated[
-    str | None, option("--terms", "A,B,...", "Terms to estimate, instead of the run file's.")
-]
-MethodOption = Annotated[
-    str | None, option("--method", "NAME", "Estimator: information | rate | recursive | revolutions.")
-]
+TermsOption = Annotated[str | None, option("A,B,...", "Terms to estimate, instead of the run file's.")]
+MethodOption = Annotated[str | None, option("NAME", "Estimator: information | rate | recursive | revolutions.")]
 PhasesOption = Annotated[
-    str | None,
-    typer.Option(
-        "--phases", "--phase", metavar="NAME", help="Phases of the output zero: shared | per-segment."
-    ),
+    str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
 ]
-PhaseSourceOption = Annotated[
-    str | None, option("--phase-source", "NAME", "Angle that turns the coupling: output | input.")
-]
+PhaseSourceOption = Annotated[str | None, option("NAME", "Angle that turns the coupling: output | input.")]
 ForceOption = Annotated[bool, flag("--force", "Replace existing results.")]
 
 
@@ -363,8 +363,26 @@ _HYPHEN = "\u2011"
 """Stands for a hyphen while help is wrapped, so that no name is broken at one."""
 
 
+_LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy"
+_STREAM = "compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json"
+_GONE = {
+    ("compensate", "--resume"): "run the same command again without it",
+    **dict.fromkeys((("ui", name) for name in ("--host", "--tls", "--password-file")), _LOOPBACK),
+    **dict.fromkeys((("ui", name) for name in ("--live", "--phase")), _STREAM),
+}
+"""Options that commands had, and what takes their place."""
+
+
 class PlainCommand(TyperCommand):
     """A command whose help names values as its user does, not by their Python types, and breaks no name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse an option that the command had, with what takes its place."""
+        for name in (word.partition("=")[0] for word in args):
+            remedy = _GONE.get((self.name or "", name))
+            if remedy is not None:
+                raise ArgumentError(f"piga {self.name}: {name} is gone", remedy=remedy)
+        return super().parse_args(ctx, args)
 
     def get_help(self, ctx: Any) -> str:
         """The whole help."""

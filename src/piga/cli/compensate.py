@@ -6,11 +6,11 @@ import glob
 import io
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -30,10 +30,10 @@ from piga.errors import ArgumentError
 from piga.output import results
 
 if TYPE_CHECKING:
-    from piga.compensation import Phase
+    from piga.compensation import Compensated, CompensatedSet, Phase
     from piga.compensation.result import Inputs
-    from piga.records import Calibration
-    from piga.reports.compensation import CompensationOutline
+    from piga.records import Calibration, Run
+    from piga.reports.render.page import Page
 
 
 def compensate(
@@ -46,44 +46,33 @@ def compensate(
         ),
     ],
     calibration: Annotated[
-        list[Path] | None,
-        option("--calibration", "CALIBRATION.json", "Calibration record; one per run.", show_default=False),
+        list[Path] | None, option("CALIBRATION.json", "Calibration record; one per run.", show_default=False)
     ] = None,
-    out: Annotated[Path, option("--out", "FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
+    out: Annotated[Path, option("FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the phase of the calibration needs."),
     ] = None,
-    phase: Annotated[
-        str | None, option("--phase", "ANGLE", "Phase of the output zero, e.g. '0.48 rad'.")
-    ] = None,
+    phase: Annotated[str | None, option("ANGLE", "Phase of the output zero, e.g. '0.48 rad'.")] = None,
     identify_phase: Annotated[
-        str | None,
-        option("--identify-phase", "TIME", "Estimate the phase from the first seconds, at rest, e.g. '60 s'."),
+        str | None, option("TIME", "Estimate the phase from the first seconds, at rest, e.g. '60 s'.")
     ] = None,
-    rate: Annotated[
-        str | None, option("--rate", "RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")
-    ] = None,
+    rate: Annotated[str | None, option("RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
     max_age: Annotated[
-        float | None, option("--max-age", "DAYS", "Flag all rows if the calibration is older than this.")
+        float | None, option("DAYS", "Flag all rows if the calibration is older than this.")
     ] = None,
     other_serial: Annotated[
         bool, flag("--other-serial", "Accept a calibration of another serial number.")
     ] = False,
     as_run: Annotated[
-        str | None,
-        option("--as-run", "NAME", "Take a joint calibration as this run sees it.", show_default=False),
+        str | None, option("NAME", "Take a joint calibration as this run sees it.", show_default=False)
     ] = None,
     force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
     arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", hidden=True),
-    ] = False,
     report: Annotated[
-        Path | None, option("--report", "FILE.html", "Also write a page with figures.", show_default=False)
+        Path | None, option("FILE.html", "Also write a page with figures.", show_default=False)
     ] = None,
     json: Annotated[bool, flag("--json", "Print a summary as JSON.")] = False,
 ) -> None:
@@ -91,13 +80,12 @@ def compensate(
 
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
+    from piga.compensation.files import is_triad_file, summary_of
     from piga.compensation.model import Phase
-    from piga.compensation.result import format_of
+    from piga.compensation.result import format_of, write_rows
     from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
-    if resume:
-        raise ArgumentError("--resume is gone", remedy="run the same command again without it")
     read = [read_with_digest(path) for path in calibration or []]
     calibrations = [one if as_run is None else one.for_run(as_run) for one, _ in read]
     sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
@@ -105,7 +93,7 @@ def compensate(
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
     options = _CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
-    live, several = str(run[0]) == "-", len(run) > 1 or _is_triad(run[0])
+    live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
     if live or several:
         _refuse(live, identify_phase=rest, phase=given, rate=period, report=report, as_run=as_run)
     if live:
@@ -117,63 +105,50 @@ def compensate(
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
-    solve = _together if several else _single
-    same_folder = report is not None and report.parent == out.parent
-    names = [
-        glob.escape(path.name) for path in (out, report) if path is not None and (path is out or same_folder)
-    ]
-    command = f"compensate-{out.stem[:40]}"
-    with deliver(out.parent, command, names, inputs, force=force, as_json=json) as to:
+    command, elsewhere = f"compensate-{out.stem[:40]}", None
+    names = [glob.escape(path.name) for path in (out, report) if path is not None and path.parent == out.parent]
+    with ExitStack() as stack:
+        to = stack.enter_context(deliver(out.parent, command, names, inputs, force=force, as_json=json))
+        folder = to.stage
+        if report is not None and report.parent != out.parent:
+            other = results(
+                report.parent, command, [glob.escape(report.name)], inputs, force=force, option="--report"
+            )
+            folder, elsewhere = stack.enter_context(other)
         format_of(out)
-        with _page_folder(report, None if same_folder else command, to.stage, inputs, force) as (
-            folder,
-            elsewhere,
-        ):
-            page = None if report is None else folder / report.name
-            summary, calibrations = solve(run, sources, calibrations, to / out.name, page, options)
+        solved = (_together if several else _single)(run, sources, calibrations, options, report is not None)
+        with progress("writing", solved.result.size) as advance:
+            written = write_rows(
+                solved.result, to / out.name, period=period, inputs=solved.inputs, progress=advance
+            )
+        if report is not None:
+            from piga.reports.render.page import write_page
+
+            with progress("writing the report"):
+                write_page(solved.page(), folder / report.name)
+        summary = summary_of(solved.result, solved.records, written, solved.inputs)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
-        to.tell(
-            lambda: document | {"calibrations": _verdicts(calibrations)},
-            lambda: counted(summary["rows"], "row"),
-        )
-    if json:
-        return
-    if report is not None and elsewhere is not None:
-        note(f"wrote {elsewhere / report.name}")
-    for name, count in summary["flags"].items():
-        note(f"{name}: {counted(count, 'row')}")
-    for name, count in summary["repairs"].items():
-        note(f"{count} x {name}")
-    for words in summary["notes"]:
-        note(words)
-    for one in calibrations:
-        for doubt in one.verdict.doubts:
-            note(f"piga: calibration of {one.serial}: {doubt.words}")
+        document["calibrations"] = [_verdict(one) for one in solved.calibrations]
+        to.tell(lambda: document, lambda: counted(summary["rows"], "row"))
+    if not json:
+        said = [] if report is None or elsewhere is None else [f"wrote {elsewhere / report.name}"]
+        for line in [*said, *_notes(document)]:
+            note(line)
 
 
-@contextmanager
-def _page_folder(
-    report: Path | None, command: str | None, stage: Path, inputs: list[Path], force: bool
-) -> Iterator[tuple[Path, Path | None]]:
-    """The hidden folder for the page: that of the result, or one of its own and where it will be."""
-    if report is None or command is None:
-        yield stage, None
-        return
-    names = [glob.escape(report.name)]
-    with results(report.parent, command, names, inputs, force=force, option="--report") as places:
-        yield places
+def _notes(document: dict[str, Any]) -> Iterator[str]:
+    """What a user must know of a compensation: flags, repairs, notes, and doubts about the calibrations."""
+    yield from (f"{name}: {counted(count, 'row')}" for name, count in document["flags"].items())
+    yield from (f"{count} x {name}" for name, count in document["repairs"].items())
+    yield from document["notes"]
+    for used in document["calibrations"]:
+        yield from (f"piga: calibration of {used['serial']}: {doubt}" for doubt in used["doubts"])
 
 
-def _verdicts(calibrations: list[Calibration]) -> list[dict[str, Any]]:
-    """The verdicts on the calibrations that were used, as JSON values."""
-    return [
-        {
-            "serial": one.serial,
-            "verdict": one.verdict.grade,
-            "doubts": [d.words for d in one.verdict.doubts],
-        }
-        for one in calibrations
-    ]
+def _verdict(used: Calibration) -> dict[str, Any]:
+    """The verdict on a calibration that was used, as JSON values."""
+    doubts = [doubt.words for doubt in used.verdict.doubts]
+    return {"serial": used.serial, "verdict": used.verdict.grade, "doubts": doubts}
 
 
 _ONE_RECORD = {
@@ -194,12 +169,6 @@ def _refuse(live: bool, **options: object) -> None:
         if value and kind in refused:
             where = "a live stream" if live else "several instruments"
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
-
-
-def _is_triad(path: Path) -> bool:
-    from piga.compensation.files import is_triad_file
-
-    return is_triad_file(path)
 
 
 def _one(calibrations: list[Calibration]) -> Calibration:
@@ -245,64 +214,68 @@ class _CompensationOptions:
         }
 
 
-def _single(
-    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
-    options: _CompensationOptions,
-) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
-    """Compensate one recorded run of any length.
+class _Solved(NamedTuple):
+    """A compensation: its result, records and files, the calibrations used, and its page, made when it is called."""
 
-    ``sources`` are the calibration file and its SHA-256 as read. ``out`` and ``page``: files to write.
-    """
+    result: Compensated | CompensatedSet
+    records: Sequence[Run]
+    inputs: Inputs
+    calibrations: list[Calibration]
+    page: Callable[[], Page]
+
+
+def _single(
+    runs: list[Path],
+    sources: list[tuple[str, str]],
+    calibrations: list[Calibration],
+    options: _CompensationOptions,
+    _details: bool,
+) -> _Solved:
+    """Compensate one recorded run of any length. ``sources`` are the calibration file and its SHA-256 as read."""
     from piga.compensation import identify_phase
     from piga.compensation.compensator import compensate
-    from piga.compensation.files import summary_of
     from piga.compensation.model import check_method
-    from piga.compensation.result import write_rows
     from piga.stand import read_run
 
-    calibration = _one(calibrations)
+    calibration, phase = _one(calibrations), options.phase
     with progress("reading"):
         record = read_run(runs[0])
     inputs = [*record.input_sha256.items(), *sources]
     if options.rest is not None:
         phase = identify_phase(record, calibration, options.rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-        options = replace(options, phase=phase)
     with progress("compensating", record.size) as advance:
         result = compensate(
-            record,
-            calibration,
-            method=options.method,
-            phase=options.phase,
-            progress=advance,
-            **options.arguments(),
+            record, calibration, method=options.method, phase=phase, progress=advance, **options.arguments()
         )
-        written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
-    if page is not None:
-        from piga.reports.compensation import of_record
 
-        phase_used = "of the calibration"
-        if options.phase is not None:
-            phase_used = f"{options.phase.value:.6g} rad, standard uncertainty {options.phase.std:.2g} rad"
+    def page() -> Page:
+        from piga.reports.compensation import compensation_page, of_record
+
         words = {"method": check_method(options.method, calibration)}
-        words |= {} if calibration.direct else {"phase used": phase_used}
-        data = inputs[1][0] if len(inputs) > 2 else inputs[0][0]
-        _write_page(of_record(record, calibration, result), (data,), inputs, options.in_words(**words), page)
-    return summary_of(result, [record], written, inputs), calibrations
+        if not calibration.direct:
+            given = f"{phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad" if phase else ""
+            words["phase used"] = given or "of the calibration"
+        data = inputs[1 if len(inputs) > 2 else 0][0]
+        outline = of_record(record, calibration, result)
+        return compensation_page(outline, (data,), inputs, options.in_words(**words))
+
+    return _Solved(result, [record], inputs, calibrations, page)
 
 
 def _together(
-    runs: list[Path], sources: list[tuple[str, str]], calibrations: list[Calibration], out: Path, page: Path | None,
+    runs: list[Path],
+    sources: list[tuple[str, str]],
+    calibrations: list[Calibration],
     options: _CompensationOptions,
-) -> tuple[dict[str, Any], list[Calibration]]:  # fmt: skip
-    """Summary and the calibrations used: those given, or those that the triad file names."""
-    from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad, summary_of
-    from piga.compensation.result import write_rows
+    details: bool,
+) -> _Solved:
+    """Solve several instruments together, with the calibrations given or those that the triad file names."""
+    from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad
 
     if options.method == "published":
         raise ArgumentError(
-            "--method published is not for several instruments",
-            remedy="leave it out: a set is solved exactly",
+            "--method published is not for several instruments", remedy="leave it out: a set is solved exactly"
         )
     if len(runs) == 1:
         paths, mounted, inputs = read_triad(runs[0])
@@ -313,37 +286,22 @@ def _together(
             f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
-    calibrations = [item.calibration for item in mounted]
+    each = list(zip(paths, mounted, strict=True))
     with progress("reading"):
-        records = [
-            read_member(path, item, options.other_serial) for path, item in zip(paths, mounted, strict=True)
-        ]
+        records = [read_member(path, item, options.other_serial) for path, item in each]
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
     with progress("compensating", records[0].size) as advance:
-        result = compensate_set(
-            records, mounted, details=page is not None, progress=advance, **options.arguments()
-        )
-        written = write_rows(result, out, period=options.period, inputs=inputs, progress=advance)
-    if page is not None:
-        from piga.reports.compensation import of_set
+        result = compensate_set(records, mounted, details=details, progress=advance, **options.arguments())
 
-        names = tuple(
-            f"{path.stem} ({one.serial})" if one.serial else path.stem
-            for path, one in zip(paths, calibrations, strict=True)
-        )
-        words = options.in_words(method="exact")
-        _write_page(of_set(records, mounted, result), names, list(dict.fromkeys(inputs)), words, page)
-    return summary_of(result, records, written, inputs), calibrations
+    def page() -> Page:
+        from piga.reports.compensation import compensation_page, of_set
 
+        serials = [(path.stem, item.calibration.serial) for path, item in each]
+        names = tuple(f"{name} ({serial})" if serial else name for name, serial in serials)
+        outline, files = of_set(records, mounted, result), list(dict.fromkeys(inputs))
+        return compensation_page(outline, names, files, options.in_words(method="exact"))
 
-def _write_page(
-    outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str], page: Path
-) -> None:
-    from piga.reports.compensation import compensation_page
-    from piga.reports.render.page import write_page
-
-    with progress("writing the report"):
-        write_page(compensation_page(outline, names, files, options), page)
+    return _Solved(result, records, inputs, [item.calibration for item in mounted], page)
 
 
 def _live(calibration: Calibration, kind: str, options: _CompensationOptions, arrow: bool) -> None:

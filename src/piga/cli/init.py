@@ -35,21 +35,21 @@ if TYPE_CHECKING:
 
 def init(
     log: Annotated[Path, argument("LOG", "Log of a test, written by any program.")],
-    out: Annotated[Path | None, option("--out", "RUN.toml", "The run file [default: LOG.toml].")] = None,
+    out: Annotated[Path | None, option("RUN.toml", "The run file [default: LOG.toml].")] = None,
     settings: Annotated[
         list[str] | None,
         option(
-            "--set",
             "KEY=VALUE",
             "A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
+            "--set",
         ),
     ] = None,
     columns: Annotated[
         list[str] | None,
         option(
-            "--column",
             "NAME=KIND",
             "What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
+            "--column",
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,

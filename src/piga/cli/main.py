@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga._version import __version__
-from piga.cli import campaign, certificate, platform, records, trend
+from piga.cli import campaign, certificate, platform, records
 from piga.cli.calibrate import calibrate, demo
 from piga.cli.check import check, convert, noise
 from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
@@ -72,40 +72,18 @@ def _options(
     pass
 
 
-_Gone = typer.Option(hidden=True, metavar="...")
-
-
 def ui(
     folder: Annotated[
         Path, argument("FOLDER", "Folder of records [default: this one].", show_default=False)
     ] = Path(),
-    port: Annotated[
-        int, option("--port", "N", "Port on this machine [default: a free one].", show_default=False)
-    ] = 0,
+    port: Annotated[int, option("N", "Port on this machine [default: a free one].", show_default=False)] = 0,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
-    host: Annotated[str | None, _Gone] = None,
-    tls: Annotated[tuple[str, str] | None, _Gone] = None,
-    password_file: Annotated[str | None, _Gone] = None,
-    live: Annotated[str | None, _Gone] = None,
-    phase: Annotated[str | None, _Gone] = None,
 ) -> None:
     """Open the workbench in the browser.
 
     It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
     """
-    from piga.errors import ArgumentError
     from piga.workbench.app import open_browser, serve
-
-    if host is not None or tls is not None or password_file is not None:
-        raise ArgumentError(
-            "piga ui answers on this machine only: --host, --tls and --password-file are gone",
-            remedy="from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy",
-        )
-    if live is not None or phase is not None:
-        raise ArgumentError(
-            "piga ui shows no stream any more: --live and --phase are gone",
-            remedy="compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json",
-        )
 
     def ready(door: Door, place: Path) -> None:
         say(f"piga ui: {door.address}")
@@ -135,7 +113,6 @@ for command in (
     app.command()(command)
 app.add_typer(platform.app)
 app.add_typer(campaign.app)
-records.app.command()(trend.trend)
 app.add_typer(records.app)
 app.add_typer(certificate.app)
 

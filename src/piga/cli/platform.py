@@ -25,10 +25,7 @@ if TYPE_CHECKING:
     from piga.platform.scenario import PlatformScenario
     from piga.platform.simulate import PlatformRun
 
-app = App(
-    "platform",
-    "Analyse a space-stable platform with case rotation.",
-)
+app = App("platform", "Analyse a space-stable platform with case rotation.")
 
 SCENARIO = "simulated.toml"
 """Name of the scenario in the folder of ``simulate``."""
@@ -173,7 +170,7 @@ def navigate(
 @app.command()
 def compare(
     scenario: Scenario,
-    out: Annotated[Path | None, option("--out", "DIR", "Folder for comparison.json and report.html.")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for comparison.json and report.html.")] = None,
     force: ForceOption = False,
     json: _Json = False,
     budget: Annotated[bool, flag("--budget", "Add the error budget by source.")] = False,

@@ -29,7 +29,7 @@ _PLAN_RESULTS = ("scenario.toml", "program.csv", "plan.json", "report.html")
 
 def plan(
     plan_file: Annotated[Path, argument("PLAN.toml", "Plan file.", show_default=False)],
-    out: Annotated[Path | None, option("--out", "DIR", "Folder for the results [default: PLAN-plan].")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for the results [default: PLAN-plan].")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -62,14 +62,12 @@ RESULTS = ("run.toml", "run.csv", "run.parquet", "truth.json", "report.html")
 
 def simulate(
     scenario: Annotated[Path, argument("SCENARIO.toml", "Scenario file.", show_default=False)],
-    out: Annotated[Path, option("--out", "DIR", "Folder for run.toml, the data, truth.json and the page.")],
+    out: Annotated[Path, option("DIR", "Folder for run.toml, the data, truth.json and the page.")],
     model: Annotated[
         Literal["quasi-steady", "twin"] | None,
         typer.Option(help="Instrument model, instead of the scenario's."),
     ] = None,
-    seed: Annotated[
-        int | None, option("--seed", "N", "Seed of the noise, instead of the scenario's.", min=0)
-    ] = None,
+    seed: Annotated[int | None, option("N", "Seed of the noise, instead of the scenario's.", min=0)] = None,
     unstable: Annotated[bool, flag("--unstable", "Also accept an unstable servo loop.")] = False,
     force: ForceOption = False,
     json: Annotated[bool, flag("--json", "Print the truth as JSON.")] = False,
@@ -94,8 +92,8 @@ def simulate(
 
 
 def reproduce(
-    out: Annotated[Path | None, option("--out", "DIR", "Folder for reproduction.html and the figures.")] = None,
-    only: Annotated[str | None, option("--only", "ID", "Run one chapter, e.g. ten-days.")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for reproduction.html and the figures.")] = None,
+    only: Annotated[str | None, option("ID", "Run one chapter, e.g. ten-days.")] = None,
     force: ForceOption = False,
     json: Annotated[bool, flag("--json", "Print the cases as JSON.")] = False,
 ) -> None:

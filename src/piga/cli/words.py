@@ -114,8 +114,7 @@ def methods(as_json: JsonOption = False) -> None:
 
 
 def examples(
-    out: Annotated[Path, option("--out", "DIR", "Folder for the files.")] = Path("examples"),
-    force: ForceOption = False,
+    out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("examples"), force: ForceOption = False
 ) -> None:
     """Write all example files, as the how-tos use them.
 

@@ -18,15 +18,7 @@ from piga.reports.calibration.tables import quality_table
 from piga.reports.render.envelope import POINTS
 from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.reports.render.numbers import count
-from piga.reports.render.page import (
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Tile,
-    origin,
-)
+from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
 from piga.results import Array
 from piga.units import G0
 

@@ -12,16 +12,7 @@ from piga._version import __version__
 from piga.gravity_norm.estimate import SetCalibration
 from piga.reports.render.figure import Figure, Plot
 from piga.reports.render.numbers import fixed, pretty_unit, rounded, short
-from piga.reports.render.page import (
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Text,
-    Tile,
-    origin,
-)
+from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Text, Tile, origin
 from piga.results import plain
 from piga.units import MICRO_G
 

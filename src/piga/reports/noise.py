@@ -14,15 +14,7 @@ from piga.noise.levels import NoiseLevel, level_variances
 from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short
-from piga.reports.render.page import (
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Tile,
-    origin,
-)
+from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
 from piga.units import ARCSEC, MICRO_G
 
 NAMES = {

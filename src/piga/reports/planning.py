@@ -15,17 +15,7 @@ from piga.planning.plan import Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
 from piga.reports.render.numbers import pretty_unit, short, signed, significant
-from piga.reports.render.page import (
-    Cell,
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Tile,
-    Tone,
-    named_values,
-)
+from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone, named_values
 from piga.results import Array
 from piga.units import G0
 

@@ -18,14 +18,7 @@ from piga.instrument.twin.run import TwinMotion
 from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, significant
-from piga.reports.render.page import (
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Tile,
-)
+from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile
 from piga.results import Array
 from piga.stand.simulate import SimulatedTest
 from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions

@@ -14,15 +14,7 @@ import numpy as np
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, pretty_unit, rounded, short, signed
-from piga.reports.render.page import (
-    Cell,
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Tile,
-)
+from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
 from piga.trend.trend_line import TREND, Forecast

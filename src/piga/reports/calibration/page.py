@@ -56,17 +56,7 @@ from piga.reports.calibration.tables import (
 from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
-from piga.reports.render.page import (
-    ALONE,
-    Content,
-    Notice,
-    Page,
-    Section,
-    Text,
-    Tile,
-    Tone,
-    introduced,
-)
+from piga.reports.render.page import ALONE, Content, Notice, Page, Section, Text, Tile, Tone, introduced
 from piga.units import G0
 
 

@@ -36,17 +36,7 @@ from piga.reports.platform.figures import (
     spectrum_figure,
 )
 from piga.reports.render.numbers import fixed, short
-from piga.reports.render.page import (
-    Cell,
-    Content,
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Text,
-    Tile,
-)
+from piga.reports.render.page import Cell, Content, Notice, Page, Section, Table, TableOf, Text, Tile
 from piga.units import ARCMIN, ARCSEC, DAY
 
 _FOOTER = (
@@ -227,7 +217,7 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
             "u and v are m cos(phase) and m sin(phase).",
             "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
             "On the specific force that is 48 µm/s², one arc-second of its direction.",
-        ),
+        )
     )
 
 
@@ -277,9 +267,7 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
 
 
 def comparison_page(
-    comparison: ModelComparisonRun,
-    budget: Sequence[BudgetRow] = (),
-    lines: Sequence[LineRow] = (),
+    comparison: ModelComparisonRun, budget: Sequence[BudgetRow] = (), lines: Sequence[LineRow] = ()
 ) -> Page:
     """Page of ``piga platform compare``."""
     s = comparison.run.scenario

@@ -136,12 +136,7 @@ def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper l
         letters = max(len(name) for name in named) + 3
         across = max(1, min(len(named), int(width * _LETTERS / letters)))
         drawing.legend(
-            list(named.values()),
-            list(named),
-            loc=legend,
-            ncols=across,
-            fontsize=SMALL - 0.5,
-            frameon=False,
+            list(named.values()), list(named), loc=legend, ncols=across, fontsize=SMALL - 0.5, frameon=False
         )
     return drawing
 

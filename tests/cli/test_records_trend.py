@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.cli.trend import history as records_of
-from piga.cli.trend import trend
+from piga.cli.records import history as records_of
+from piga.cli.records import trend
 from piga.errors import PigaError
 from piga.records.calibration.document import calibration_to_bytes
 from tests.cli.runner import outcome
