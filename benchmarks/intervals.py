@@ -67,8 +67,8 @@ def one(seed: int, plan: Plan, number: int) -> Outcome:
 def row(outcomes: list[Outcome]) -> dict[str, measured.Value]:
     """The columns of a case: worst and best coefficient, bias, variance over the bound, NEES."""
     low, high, truth, error, bound = (
-        np.array([getattr(outcome, key) for outcome in outcomes])
-        for key in ("low", "high", "truth", "error", "bound")
+        np.array([outcome.columns[key] for outcome in outcomes])
+        for key in ("low", "high", "truth", "deviation", "bound")
     )
     held = (low <= truth) & (truth <= high)
     share, spread = 100.0 * held.mean(axis=0), error.std(axis=0, ddof=1)
@@ -88,11 +88,11 @@ def row(outcomes: list[Outcome]) -> dict[str, measured.Value]:
 def by_coefficient(outcomes: list[Outcome]) -> dict[str, dict[str, float]]:
     """Share of intervals that hold, median half width, and mean error over its standard deviation, of each coefficient."""
     low, high, truth, error = (
-        np.array([getattr(one, key) for one in outcomes]) for key in ("low", "high", "truth", "error")
+        np.array([one.columns[key] for one in outcomes]) for key in ("low", "high", "truth", "deviation")
     )
     held = 100.0 * ((low <= truth) & (truth <= high)).mean(axis=0)
     width, bias = np.median(0.5 * (high - low), axis=0), error.mean(axis=0) / error.std(axis=0, ddof=1)
-    columns = zip(outcomes[0].names, held.tolist(), width.tolist(), bias.tolist(), strict=True)
+    columns = zip(outcomes[0].columns["name"], held.tolist(), width.tolist(), bias.tolist(), strict=True)
     return {name: {"held": h, "width": w, "bias": b} for name, h, w, b in columns}
 
 

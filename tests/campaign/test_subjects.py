@@ -73,12 +73,11 @@ def test_bound_of_a_stand_is_that_of_known_noise(tmp_path):
     written(tmp_path, stand.replace('dwell = "6 s"', 'dwell = "30 s"'), "stand.toml")
     plan = read_campaign(written(tmp_path, CAMPAIGN))
     first, second = (compute(plan, plan.find(0, k)) for k in (0, 1))
-    assert np.isnan(second.bound).all()
-    assert first.bound == pytest.approx(first.u, rel=0.25)
+    assert np.isnan(second.columns["bound"]).all()
+    assert first.columns["bound"] == pytest.approx(first.columns["u"], rel=0.25)
     written(tmp_path, STAND + "[uncertainty]\nreference_scale = '1 ppm'\n", "stand.toml")
-    assert np.isnan(compute(read_campaign(tmp_path / "small.toml"), plan.find(0, 0)).bound).all(), (
-        "Type B has no such bound"
-    )
+    stated = compute(read_campaign(tmp_path / "small.toml"), plan.find(0, 0))
+    assert np.isnan(stated.columns["bound"]).all(), "Type B has no such bound"
 
 
 @pytest.mark.long

@@ -212,7 +212,6 @@ NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re
 
 
 def _number(value: Quantity) -> tuple[float, str]:
-    """Number and unit of a quantity."""
     if not isinstance(value, str):
         return float(value), ""
     match = NUMBER.fullmatch(value)
@@ -295,7 +294,6 @@ def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
 
 
 def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[CampaignGroup]:
-    """One group for each scenario and each point of the grid."""
     if file.scenario is None and not file.case:
         raise RunFileError(f"{path}: there is nothing to compute", remedy="give scenario or [[case]]")
     names = [case.name for case in file.case]
@@ -331,7 +329,6 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
 
 
 def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
-    """Kind of a scenario, by its tables."""
     if "stand" in document and "electronics" in document:
         return "stand"
     if "site" in document and "run" in document:

@@ -213,7 +213,6 @@ def collect(campaign: Campaign) -> Collected:
 
 
 def _repeat_command(campaign: Campaign, record: RecordName) -> str:
-    """The command that repeats one record."""
     name = shlex.quote(campaign.plan.path.name)
     return f"piga campaign repeat {name} --case {record.case} --repeat {record.repeat} --out DIR"
 
@@ -235,7 +234,6 @@ def read_rows(campaign: Campaign, parts: dict[int, Path]) -> tuple[pa.Table, pa.
 
 
 def _numbers(table: pa.Table, name: str) -> Array:
-    """A column of numbers; nan where it is empty."""
     return table.column(name).to_numpy().astype(float)
 
 
@@ -321,7 +319,6 @@ _NEES = [("nees", "mean"), ("nees_expected", "mean")]
 
 
 def _coefficient(row: Row) -> CampaignCoefficient:
-    """The figures of a coefficient, from its aggregates."""
     tests, with_truth = row["value_count"], row["deviation_count"]
     plain = {"mean": row["value_mean"], "lowest": row["value_min"], "highest": row["value_max"]}
     std = row["value_stddev"] if tests > 1 else None
@@ -377,7 +374,6 @@ def _histogram(rows: pa.Table) -> tuple[int, ...]:
 
 
 def _worst(campaign: Campaign, rows: pa.Table) -> list[_WorstCase]:
-    """The coefficients that are farthest from their truth. Of equal ones the first record comes first."""
     z = _numbers(rows, "z")
     size = np.where(np.isfinite(z), np.abs(z), 0.0)
     cases = []
@@ -391,7 +387,6 @@ def _worst(campaign: Campaign, rows: pa.Table) -> list[_WorstCase]:
 
 
 def _failures(campaign: Campaign, heads: pa.Table) -> list[_Failure]:
-    """Failures by class, the most frequent first, with the first record of each."""
     import pyarrow.compute as pc
 
     failed = heads.filter(pc.is_valid(heads.column("error_class"))).select(["error_class", "record", "error"])

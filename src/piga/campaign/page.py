@@ -143,7 +143,6 @@ def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -
 
 
 def _coefficients(result: GroupResult) -> TableOf[CampaignCoefficient]:
-    """The begin of a table of coefficients: name, unit, and how many tests there are."""
     return (
         TableOf(result.coefficients)
         .text("Quantity", lambda c: c.name)
@@ -174,7 +173,6 @@ def _interval_table(result: GroupResult) -> Table:
 
 
 def _plain_table(result: GroupResult) -> Table:
-    """Quantities without truth."""
     return (
         _coefficients(result)
         .number("Mean", lambda c: _number(c, c.mean))
@@ -186,7 +184,6 @@ def _plain_table(result: GroupResult) -> Table:
 
 
 def _seen_table(results: list[GroupResult]) -> Table:
-    """Share of the records of each group whose calibration reports a kind of noise or suggests a term."""
     names = sorted(dict.fromkeys(name for result in results for name in result.seen))
     return (
         TableOf(results)
@@ -234,12 +231,10 @@ def _with_error(c: CampaignCoefficient) -> str:
 
 
 def _unit(c: CampaignCoefficient) -> str:
-    """Unit in which a coefficient is shown, as on all pages."""
     return pretty_unit(shown_unit(c.name, c.unit)[1]) or "1"
 
 
 def _number(c: CampaignCoefficient, value: float | None) -> str:
-    """A value of a coefficient in the unit that is shown."""
     if value is None or not math.isfinite(value):
         return "–"
     return short(value * shown_unit(c.name, c.unit)[0], 3)
@@ -249,7 +244,6 @@ def _number(c: CampaignCoefficient, value: float | None) -> str:
 
 
 def _coverage_figure(judged: list[GroupResult]) -> Figure:
-    """Coverage of every coefficient, group by group, with two standard errors; the line at 95 %."""
     points = [(r, c) for r in judged for c in r.coefficients if c.coverage is not None]
     x = np.arange(1, len(points) + 1, dtype=float)
     share = np.array([100 * (c.coverage or 0.0) for _, c in points])

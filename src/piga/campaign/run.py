@@ -176,7 +176,6 @@ def _without_ctrl_c() -> Iterator[None]:
 
 
 def _dask() -> tuple[Any, Any]:
-    """The packages ``distributed`` and ``dask``."""
     try:
         import dask
         import distributed
@@ -235,7 +234,6 @@ def is_local(host: str) -> bool:
 def _compute(
     client: Any, campaign: Campaign, missing: list[int], report: RunReport, progress: Progress | None
 ) -> None:
-    """Give all shards to the cluster, and take their reports as they come."""
     total = campaign.manifest.records
     records = total - sum(len(campaign.records_of(shard)) for shard in missing)
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from piga.campaign.campaign_file import CampaignPlan, plan_of, read_campaign
-from piga.campaign.subjects import Outcome, compute, reason
+from piga.campaign.subjects import compute, reason
 from piga.errors import ArgumentError, DataError, PigaError
 from piga.output import write_whole
 
@@ -183,7 +182,6 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
 
 
 def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
-    """The campaign that a folder holds, if it is the one that is wanted."""
     has, folder = campaign.manifest, campaign.folder
     if (has.texts, has.records) != (wanted.texts, wanted.records):
         raise PigaError(
@@ -311,21 +309,10 @@ def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
     except Exception as error:
         head["error_class"], head["error"] = reason(error)
     else:
-        head |= {"nees": outcome.nees, "nees_expected": outcome.nees_expected}
-        head |= {"notes": list(outcome.notes), "seen": list(outcome.seen)}
-        rows = [place | row for row in _coefficient_rows(outcome)]
+        head |= {name: getattr(outcome, name) for name in ("nees", "nees_expected", "notes", "seen")}
+        rows = [place | row for row in outcome.rows()]
     head["seconds"] = time.process_time() - began
     return [head, *rows]
-
-
-def _coefficient_rows(outcome: Outcome) -> list[dict[str, Any]]:
-    with np.errstate(all="ignore"):
-        columns = {
-            "name": outcome.names, "unit": outcome.units, "value": outcome.value, "u": outcome.u, "low": outcome.low,
-            "high": outcome.high, "degrees_of_freedom": outcome.degrees_of_freedom, "truth": outcome.truth,
-            "deviation": outcome.error, "z": outcome.error / outcome.u, "bound": outcome.bound,
-        }  # fmt: skip
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
 def _part_schema() -> pa.Schema:

@@ -6,6 +6,7 @@ import datetime as dt
 import math
 import tempfile
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,29 +30,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Numbers of one record, one entry per coefficient or quantity, in the units of calibration.json.
+    """Numbers of one record: ``columns`` with an entry per coefficient or quantity, in the units of calibration.json.
 
-    ``low`` and ``high`` are the ends of the 95 % interval. ``truth`` is the true value. ``error`` is value minus truth;
-    for a phase it is taken to the nearest turn. ``bound`` is the standard
-    deviation of Cramer and Rao. Unknown values are nan. ``nees`` is the mean square of all errors in their
+    ``low`` and ``high`` are the ends of the 95 % interval. ``deviation`` is value minus ``truth``; for a phase it is taken to
+    the nearest turn. ``z`` is that over ``u``. ``bound`` is the standard deviation of Cramer and Rao. Unknown values are nan;
+    a quantity without truth has ``name``, ``unit`` and ``value`` alone. ``nees`` is the mean square of all errors in their
     covariance, ``nees_expected`` its expected value for Student's t.
     ``seen`` names what the calibration reports: kinds of noise, terms it suggests, and a doubt about the noise.
     """
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    value: Array
-    u: Array
-    low: Array
-    high: Array
-    degrees_of_freedom: Array
-    truth: Array
-    error: Array
-    bound: Array
+    columns: dict[str, Sequence[str] | Array]
     nees: float = math.nan
     nees_expected: float = math.nan
     notes: tuple[str, ...] = ()
     seen: tuple[str, ...] = ()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The columns as one row per coefficient."""
+        return [dict(zip(self.columns, row, strict=True)) for row in zip(*self.columns.values(), strict=True)]
 
 
 def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Any:
@@ -121,23 +117,15 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
             except np.linalg.LinAlgError:
                 nees = math.nan
         expected = float(np.mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))))
-    none = np.full(value.size, math.nan)
-    return Outcome(
-        names=tuple(c.key for c in coefficients),
-        units=tuple(c.unit for c in coefficients),
-        value=value,
-        u=u,
-        low=low,
-        high=high,
-        degrees_of_freedom=degrees,
-        truth=truth,
-        error=error,
-        bound=none if bound is None else bound,
-        nees=nees,
-        nees_expected=expected,
-        notes=tuple(calibration.notes),
-        seen=_seen(calibration),
-    )
+    with np.errstate(all="ignore"):
+        columns: dict[str, Sequence[str] | Array] = {
+            "name": [c.key for c in coefficients],
+            "unit": [c.unit for c in coefficients],
+            "value": value, "u": u, "low": low, "high": high, "degrees_of_freedom": degrees,
+            "truth": truth, "deviation": error, "z": error / u,
+            "bound": np.full(value.size, math.nan) if bound is None else bound,
+        }  # fmt: skip
+    return Outcome(columns, nees, expected, tuple(calibration.notes), _seen(calibration))
 
 
 NOISE_DOUBTED = "doubt about the noise"
@@ -241,10 +229,7 @@ def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScen
             (f"{label}[{model}]", "m/s", value)
             for label, value in zip(labels, last_east_lines(run.lines), strict=False)
         ]
-    none = np.full(len(rows), math.nan)
-    values = np.array([value for _, _, value in rows])
-    names, units = tuple(row[0] for row in rows), tuple(row[1] for row in rows)
-    return Outcome(names, units, values, none, none, none, none, none, none, none)
+    return Outcome(dict(zip(("name", "unit", "value"), zip(*rows, strict=True), strict=True)))
 
 
 def reason(error: Exception) -> tuple[str, str]:
@@ -285,7 +270,7 @@ def _plain(value: Any) -> Any:
 
 def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:
     """One record as plain data."""
-    names = ("value", "u", "low", "high", "truth")
+    numbers = ("value", "u", "low", "high", "truth", "z")
     return {
         "record": record.number,
         "case": record.case,
@@ -293,10 +278,9 @@ def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:
         "group": record.group.label,
         "nees": finite(outcome.nees),
         "coefficients": [
-            {"name": name, "unit": unit}
-            | {key: finite(float(getattr(outcome, key)[k])) for key in names}
-            | {"z": finite(float(outcome.error[k] / outcome.u[k]))}
-            for k, (name, unit) in enumerate(zip(outcome.names, outcome.units, strict=True))
+            {"name": row["name"], "unit": row["unit"]}
+            | {key: finite(float(row.get(key, math.nan))) for key in numbers}
+            for row in outcome.rows()
         ],
         "notes": list(outcome.notes),
     }
@@ -305,9 +289,9 @@ def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:
 def outcome_lines(record: RecordName, outcome: Outcome) -> list[str]:
     """One record in words."""
     lines = [f"record {record.number}: {record.group.label}, case {record.case}, repeat {record.repeat}"]
-    for k, (name, unit) in enumerate(zip(outcome.names, outcome.units, strict=True)):
-        text = f"  {name:<24}{outcome.value[k]:>18.9g} {unit}"
-        if math.isfinite(float(outcome.error[k])):
-            text += f"   u {outcome.u[k]:.2g}   error {outcome.error[k]:.2g} ({outcome.error[k] / outcome.u[k]:+.1f} u)"
+    for row in outcome.rows():
+        text = f"  {row['name']:<24}{row['value']:>18.9g} {row['unit']}"
+        if math.isfinite(row.get("deviation", math.nan)):
+            text += "   u {u:.2g}   error {deviation:.2g} ({z:+.1f} u)".format(**row)
         lines.append(text)
     return lines

@@ -98,7 +98,6 @@ def calibrate(
 def _calibrate_set(
     runs: list[Path], directory: Path, inputs: list[Path], *, plain: bool, force: bool, as_json: bool
 ) -> None:
-    """Calibrate a set of accelerometers by the size of gravity."""
     from piga.errors import ArgumentError
     from piga.gravity_norm import calibrate_set_file
     from piga.reports.gravity_norm import brief, page, set_document
@@ -143,7 +142,6 @@ def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummar
 
 
 def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
-    """The runs and summaries of runs that the command names."""
     from piga.calibration.summary import RunSummary
     from piga.stand import read_run
 

@@ -230,7 +230,6 @@ def _run_lines(report: RunReport) -> list[str]:
 
 
 def _status(campaign: Campaign) -> dict[str, Any]:
-    """Shards, records, failures and cost, from the parts."""
     from piga.campaign.collect import read_rows
 
     parts = campaign.parts()

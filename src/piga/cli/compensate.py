@@ -146,7 +146,6 @@ def _notes(document: dict[str, Any]) -> Iterator[str]:
 
 
 def _verdict(used: Calibration) -> dict[str, Any]:
-    """The verdict on a calibration that was used, as JSON values."""
     doubts = [doubt.words for doubt in used.verdict.doubts]
     return {"serial": used.serial, "verdict": used.verdict.grade, "doubts": doubts}
 

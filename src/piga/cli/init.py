@@ -133,7 +133,6 @@ def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunF
 
 
 def _answer(words: str) -> str:
-    """One line from the terminal."""
     sys.stderr.write(words)
     sys.stderr.flush()
     line = sys.stdin.readline()
@@ -188,7 +187,6 @@ def _open_lines(
 
 
 def _typed(path: Path) -> str:
-    """A path as it is typed in a shell."""
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
 

@@ -99,7 +99,6 @@ def _end_with_server() -> None:
 
 
 def _envelopes(run: Path, folder: Path) -> None:
-    """Read a record and write what its picture is drawn from."""
     from piga.records.run_file import read_run_file
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes

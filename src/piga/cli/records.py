@@ -61,7 +61,6 @@ def _tell(where: str, head: Head, as_json: bool, document: dict[str, Any], lines
 
 
 def _record_document(record: Record) -> dict[str, Any]:
-    """A record as JSON values: its place in this store, then its document."""
     from piga.results import plain
 
     place = {"number": record.number, "head": record.head, "added": record.link.added}
@@ -70,7 +69,6 @@ def _record_document(record: Record) -> dict[str, Any]:
 
 
 def _record_lines(record: Record) -> Iterator[str]:
-    """Operator, time, reason, software and files of a record."""
     document = record.document
     yield f"record {record.id}, number {record.number}, head {record.head}"
     facts = {name: getattr(document, name) for name in ("serial", "measured", "created", "operator", "reason")}
@@ -90,7 +88,6 @@ def _record_lines(record: Record) -> Iterator[str]:
 
 
 def _difference_document(difference: Difference) -> dict[str, Any]:
-    """The difference of two records as JSON values."""
     from piga.results import plain
 
     return {
@@ -110,7 +107,6 @@ def _type_a_only(difference: Difference) -> list[str]:
 
 
 def _difference_lines(difference: Difference) -> Iterator[str]:
-    """The difference of each coefficient with its uncertainty, then the other differences."""
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import ascii_text, rounded, signed
 
@@ -128,7 +124,6 @@ def _difference_lines(difference: Difference) -> Iterator[str]:
 
 
 def _verification_lines(verification: Verification) -> Iterator[str]:
-    """The result of a verification; what is wrong goes to stderr."""
     v = verification
     if v.sound:
         yield f"{v.name}: sound: {counted(v.records, 'record')} and {counted(v.files, 'file')} are what they were"
@@ -142,13 +137,11 @@ def _verification_lines(verification: Verification) -> Iterator[str]:
 
 
 def _tell_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
-    """The file that was written and verified."""
     lines = (f"wrote {path}, read back and found sound", _head_line(records, head))
     tell(as_json, {"file": str(path), "records": records, "head": head}, lines)
 
 
 def _reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
-    """A recomputed record as JSON values."""
     from piga.results import plain
 
     return {

@@ -270,7 +270,6 @@ def error_figure(errors: Residuals) -> Figure:
 
 
 def _error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
-    """Amplitude of the error in revolution order; a line at an order is a missed term."""
     spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
     plot = Plot(
         "compensation-spectrum",
@@ -570,7 +569,6 @@ def _reference(outline: CompensationOutline) -> Section:
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    """The figure of flags, and their table; of a set with the rows of each instrument."""
     figure = flag_figure(outline)
     if figure is None:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))

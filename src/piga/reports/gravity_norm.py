@@ -38,7 +38,6 @@ def residual_figure(cal: SetCalibration) -> Figure:
 
 
 def _terms_table(cal: SetCalibration) -> Table:
-    """All terms with u, U and degrees of freedom."""
     return (
         TableOf(cal.terms)
         .text("term", lambda term: term.key)

@@ -45,7 +45,6 @@ def deviation_figure(deviation: AllanDeviation) -> Figure:
 
 
 def _deviations_figure(noise: NoiseAnalysis) -> Figure:
-    """The three deviations, the band of the Allan deviation, and the levels."""
     one, unit = shown_output(noise.unit)
     allan = noise.deviations[0]
     low = 0.2 * min(
@@ -96,7 +95,6 @@ def remarks(noise: NoiseAnalysis) -> tuple[str, ...]:
 
 
 def _levels_table(noise: NoiseAnalysis) -> Table:
-    """The levels with their intervals, and as accelerations where the scale factor is known."""
     one, unit = shown_output(noise.unit)
 
     def interval(level: NoiseLevel, scale: float) -> str:
@@ -122,7 +120,6 @@ def _levels_table(noise: NoiseAnalysis) -> Table:
 
 
 def _deviations_table(noise: NoiseAnalysis) -> Table:
-    """The Allan deviation with its band, and the two others."""
     one, unit = shown_output(noise.unit)
     allan, *others = noise.deviations
     table = (

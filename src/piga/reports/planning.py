@@ -40,7 +40,6 @@ def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
 
 
 def _dwell_figure(plan: Plan) -> Figure:
-    """Chosen positions in the plane of the forces, and the time in each."""
     chosen = tuple(visit.candidate for visit in plan.best.visits)
     named = tuple(f"{v.candidate.label}: {short(v.dwell)} s" for v in plan.best.visits)
     plot = Plot("plan-positions", "Chosen positions and the time in each", columns=2)
@@ -87,7 +86,6 @@ def _uncertainty_figure(plan: Plan) -> Figure:
 
 
 def _duration_figure(plan: Plan) -> Figure:
-    """Uncertainty against duration, relative to the plan, per coefficient."""
     hours = np.array([duration for duration, _, _ in plan.stretched]) / 60.0
     plot = Plot("plan-duration", "Uncertainty against duration", columns=2, height=2.6)
     for name in plan.names:
@@ -126,7 +124,6 @@ def _lock_figure(plan: Plan) -> Figure:
 
 
 def _mounting_figure(mounting: Mounting) -> Figure:
-    """Margin against skew, and along the profile for the best mounting."""
     degrees = np.degrees(mounting.skews)
     plot = Plot("plan-mounting", "Skew of the instrument on the platform")
     plot.panel("skew of the instrument [deg]", "log least |a_x| over a_t tan(beta)", "Margin against skew")
@@ -209,7 +206,6 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
 
 
 def _visit_table(plan: Plan) -> Table:
-    """Visits of the plan in the order of the test."""
     table = TableOf(plan.best.visits)
     table.text("position or level", lambda visit: visit.candidate.label)
     table.number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
@@ -220,7 +216,6 @@ def _visit_table(plan: Plan) -> Table:
 
 
 def _uncertainty_table(plan: Plan) -> Table:
-    """Predicted uncertainties, and those of the standard plans as multiples."""
     shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.names]
     table = (
         TableOf(shown)
@@ -260,7 +255,6 @@ def _locked_notes(plan: Plan) -> tuple[str, ...]:
 
 
 def _cheapest(plan: Plan) -> Notice | None:
-    """The shortest test with the wanted uncertainties; None if none are wanted."""
     cheapest = plan.cheapest
     if cheapest is None:
         return None
@@ -287,7 +281,6 @@ def _excluded(plan: Plan) -> Notice | Table:
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:
-    """The answer to the mounting question in one sentence."""
     kept = list(mounting.acceptable)
     text = (
         f"best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "

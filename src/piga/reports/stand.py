@@ -104,7 +104,6 @@ def _components(plot: Plot, t: Array, values: Array) -> Plot:
 
 
 def _stand_figure(test: SimulatedTest) -> Figure:
-    """Specific force and base rate of the reference."""
     t, time = _time(test)
     plot = Plot("stand", "The stand", height=4.6)
     _components(plot.panel(time, "specific force [g]", "Specific force"), t, test.profile.reference / G0)
@@ -116,7 +115,6 @@ def _stand_figure(test: SimulatedTest) -> Figure:
 
 
 def _imperfection_figure(test: SimulatedTest) -> Figure:
-    """Specific force that the instrument feels, less the reference."""
     t, time = _time(test)
     plot = Plot("imperfections", "Imperfections of the stand", time, "true less reference [µg]")
     _components(plot, t, (test.profile.force - test.profile.reference) / MICRO_G)
@@ -130,7 +128,6 @@ def _lock_zone_figure(test: SimulatedTest) -> Figure:
 
 
 def _output_figure(test: SimulatedTest) -> Figure:
-    """Output angle, and the indicated specific force less the true one."""
     t, time = _time(test)
     p = test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]

@@ -56,7 +56,6 @@ DATE = Axis("date", "", dates=True)
 
 
 def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
-    """Positions on the axis of times in years since the start."""
     return start.timestamp() / DAY + np.asarray(years, dtype=float) * YEAR / DAY
 
 
@@ -182,7 +181,6 @@ def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
 
 
 def _summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
-    """One row per coefficient: value on the last day, stability, drift, forecast."""
     table = (
         TableOf(drifts.coefficients)
         .text("Coefficient", lambda trend: trend.key)
@@ -236,7 +234,6 @@ def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Sec
 
 
 def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
-    """Table of the records, each with its forecast from earlier records."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
     caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."

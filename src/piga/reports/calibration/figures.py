@@ -106,7 +106,6 @@ def residual_figure(
 
 
 def _run_figures(cal: Calibration) -> dict[str, Figure]:
-    """Residuals against time of every run, each with its own clock and scales."""
     residuals = cal.residuals
     if residuals is None or residuals.run is None:
         return {}
@@ -180,7 +179,6 @@ def spectrum_figure(
 
 
 def _order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
-    """Lines that stand out of the noise, each in one sentence."""
     lines = []
     for order, index, explained in spectrum.lines():
         k = int(np.argmin(np.abs(spectrum.order - order)))
@@ -372,7 +370,6 @@ def budget_figure(cal: Calibration) -> Figure | None:
 
 
 def _outlier_figure(cal: Calibration) -> Figure | None:
-    """Size of every outlier, against time."""
     runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
     if not runs:
         return None

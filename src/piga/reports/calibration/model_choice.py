@@ -96,7 +96,6 @@ def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
 
 
 def _comparison_figure(document: dict[str, Any]) -> Figure | None:
-    """BIC and error of prediction of every set."""
     sets = _determined(document)
     if not sets:
         return None
@@ -126,7 +125,6 @@ def _determined(document: dict[str, Any]) -> list[_NUMBERED]:
 
 
 def _shift_table(document: dict[str, Any]) -> Table | None:
-    """Every coefficient in every set that is determined."""
     sets = _determined(document)
     if len(sets) < 2:
         return None

@@ -61,7 +61,6 @@ from piga.units import G0
 
 
 def _files_in_words(cal: Calibration) -> str:
-    """The data files, or the runs."""
     if cal.runs:
         return ", ".join(run.name for run in cal.runs)
     names = [Path(name).name for name in cal.provenance.input_sha256]
@@ -81,7 +80,6 @@ def _total_duration(cal: Calibration) -> float:
 
 
 def _segments_in_words(cal: Calibration) -> str:
-    """Numbers of runs and segments, in words."""
     runs = f"{len(cal.runs)} runs, " if cal.runs else ""
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
 
@@ -328,7 +326,6 @@ def _tested(cal: Calibration) -> Section:
 
 
 def _runs(cal: Calibration) -> Section:
-    """The runs of a joint calibration."""
     lead = (
         "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
         "the others must."
@@ -359,7 +356,6 @@ def _residuals(cal: Calibration, shown: dict[str, Figure]) -> Section:
 
 
 def _convergence(shown: dict[str, Figure]) -> Section:
-    """The history of a recursive estimate."""
     lead = "How the estimates settled while the record came in, sample by sample."
     return Section("Convergence", "history", (lead, shown["convergence"]))
 
@@ -435,7 +431,6 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
 
 
 def _noise(cal: Calibration) -> list[tuple[str, str]]:
-    """Levels of the noise, as names and values."""
     count = integral_unit(cal.unit)
     white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
     raw = ("", "") if cal.direct else (_raw(cal.angle_rms, count), _raw(cal.angle_random_walk, f"{count}/√s"))

@@ -326,7 +326,6 @@ _RANGES = {
 
 
 def _range_row(name: str, ends: Any) -> tuple[str, str]:
-    """A range in which the calibration holds."""
     words, unit = _RANGES.get(name, (name, ""))
     low, high = (short(float(end), 4) for end in ends)
     return f"Range of the {words}", f"{low} to {high} {unit}".rstrip()

@@ -52,7 +52,6 @@ def page(title: str, s: PlatformScenario, tiles: tuple[Tile, ...], sections: tup
 
 
 def _parameter_table(identification: Identification, s: PlatformScenario) -> Table:
-    """Identified amplitudes and phases with their uncertainties, beside the truth."""
     truth = _truth_by_name(
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
@@ -232,7 +231,6 @@ def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
 
 
 def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
-    """Attitude and drift of the triad, and the angles of the base."""
     from piga.frames import matrix_to_rotation_vector
 
     true, motion = matrix_to_rotation_vector(run.truth.triad_start.T), run.scenario.motion

@@ -205,7 +205,6 @@ def _words(text: str, letters: float = math.inf) -> str:
 
 
 def _series(series: Series, axes: Axes, across: Axis) -> None:
-    """One curve."""
     x, y = series.arrays()
     colour = LIGHT[series.role]
     name = _words(series.name) or "_"

@@ -128,7 +128,6 @@ def _look(series: Series, colour: str) -> dict[str, Any]:
 
 
 def _band_base(trace: dict[str, Any], series: Series) -> list[dict[str, Any]]:
-    """Lower edge of a band: the filled trace lies on it."""
     if series.mark != "band":
         return []
     lower = trace | {"y": _numbers(series.y), "fill": "none", "showlegend": False}
@@ -242,7 +241,6 @@ def _grid(figure: Figure, rows: int, columns: int) -> dict[str, Any]:
 
 
 def _title(panel: Panel, suffix: str) -> dict[str, Any]:
-    """The title of a panel, above its left end."""
     place = {"x": 0, "y": 1, "xref": f"x{suffix} domain", "yref": f"y{suffix} domain"}
     look = {"showarrow": False, "xanchor": "left", "yanchor": "bottom", "font": {"size": 13}}
     return {"text": f"<b>{_text(panel.title)}</b>"} | place | look
