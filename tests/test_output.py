@@ -283,3 +283,18 @@ def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(PigaError, match="exists already"):
         output.write_whole(tmp_path / "a.txt", lambda path: path.write_text("y"), replace=False)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.txt", "x")]
+
+
+def test_nothing_is_written_half(tmp_path: Path) -> None:
+    path = tmp_path / "result.txt"
+    path.write_text("old")
+
+    def fails(temporary: Path) -> None:
+        temporary.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(PigaError, match="No space left"):
+        output.write_whole(path, fails)
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("result.txt", "old")]
+    with pytest.raises(PigaError, match="cannot be written"):
+        output.write_whole(tmp_path / "none" / "x", lambda temporary: None)

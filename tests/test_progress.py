@@ -145,8 +145,8 @@ def test_a_long_call_tells_its_steps_and_stops_when_told(run, cal, name):
 
 
 def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
-    from piga.cli.common import write_by_rename
     from piga.compensation.result import write_rows
+    from piga.output import write_whole
 
     monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", 100)
     result = piga.compensate(run, cal)
@@ -160,7 +160,7 @@ def test_a_stopped_file_is_as_it_was(run, cal, tmp_path, monkeypatch):
             told.append(done)
             return done < stop
 
-        write_by_rename(out, lambda path: write_rows(result, path, "parquet", progress=progress))
+        write_whole(out, lambda path: write_rows(result, path, "parquet", progress=progress))
         return told
 
     with pytest.raises(piga.CancelledError, match="nothing was written"):

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from piga.cli import common
-from piga.errors import PigaError
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
 
@@ -77,24 +76,6 @@ def test_a_live_stream_with_a_closed_end(tmp_path: Path, shell: str, closed: str
     assert done.returncode == 2
     assert f"standard {closed} is closed".encode() in done.stderr
     assert b"Traceback" not in done.stderr
-
-
-def test_nothing_is_written_half(tmp_path: Path) -> None:
-    path = tmp_path / "result.txt"
-    path.write_text("old")
-
-    def fails(temporary: Path) -> None:
-        temporary.write_text("half")
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(PigaError, match="No space left"):
-        common.write_by_rename(path, fails)
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["result.txt"]
-    common.write_by_rename(path, lambda temporary: temporary.write_text("new"))
-    assert path.read_text() == "new"
-    with pytest.raises(PigaError, match="cannot be written"):
-        common.write_by_rename(tmp_path / "none" / "x", lambda temporary: None)
 
 
 def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from piga.errors import ArgumentError, PigaError
-from piga.output import results, write_whole
+from piga.output import results
 from piga.progress import FIRST_USE, WHEN_COMPILED
 
 if TYPE_CHECKING:
@@ -158,11 +158,6 @@ def no_folder(path: Path) -> Path:
     if path.is_dir():
         raise ArgumentError(f"{path}: is a folder", remedy="name a file in it")
     return path
-
-
-def write_by_rename(path: Path, write: Callable[[Path], object], option: str = "--out") -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it. So no result is half written."""
-    return write_whole(path, write, remedy=f"choose another {option}")
 
 
 def write_text(path: Path, text: str) -> Path:

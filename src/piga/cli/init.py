@@ -22,11 +22,10 @@ from piga.cli.common import (
     progress,
     say,
     tell,
-    write_by_rename,
     write_text,
 )
 from piga.errors import ArgumentError, PigaError
-from piga.output import check_outputs
+from piga.output import check_outputs, write_whole
 
 if TYPE_CHECKING:
     from piga.describe import LogDescription, RunFileDraft
@@ -83,7 +82,7 @@ def init(
         with progress("trying it"):
             tried = _tried(draft, target)
     text = draft.text()
-    write_by_rename(target, lambda path: write_text(path, text))
+    write_whole(target, lambda path: write_text(path, text), remedy="choose another --out")
     columns_shown = () if asking else _column_lines(described)
     checks = (line for notes in draft.comments.values() for line in notes if line.startswith("CHECK"))
     end = (

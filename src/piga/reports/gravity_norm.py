@@ -50,13 +50,10 @@ def _terms_table(cal: SetCalibration) -> Table:
     )
 
 
-def _words(cal: SetCalibration) -> str:
-    keeps = "Z of the third accelerometer" if cal.convention == "upper" else "X of the first accelerometer"
-    return f"Convention {cal.convention}: the axes of the set keep {keeps}. Scale factors depend on the convention."
-
-
 def page(cal: SetCalibration) -> Page:
     """Terms, residuals and spells."""
+    keeps = "Z of the third accelerometer" if cal.convention == "upper" else "X of the first accelerometer"
+    words = f"Convention {cal.convention}: the axes of the set keep {keeps}. Scale factors depend on the convention."
     notices = [Notice("warning", remark) for remark in cal.remarks]
     spells = (
         TableOf(cal.spells)
@@ -79,7 +76,7 @@ def page(cal: SetCalibration) -> Page:
             Tile("Residual", short(cal.residual_rms / MICRO_G), "µg", "root mean square by degrees of freedom"),
         ),
         (
-            Section("Terms", "terms", (Text(_words(cal)), _terms_table(cal), *notices)),
+            Section("Terms", "terms", (Text(words), _terms_table(cal), *notices)),
             Section("Residuals", "of-spells", (partial(residual_figure, cal),)),
             Section("Static spells", "spells", (spells,)),
             origin(cal.input_sha256),

@@ -122,6 +122,11 @@ def _levels_table(noise: NoiseAnalysis) -> Table:
 def _deviations_table(noise: NoiseAnalysis) -> Table:
     one, unit = shown_output(noise.unit)
     allan, *others = noise.deviations
+
+    def at(each: AllanDeviation, k: int) -> str:
+        known = k < each.tau.size and each.tau[k] == allan.tau[k]
+        return short(each.deviation[k] / one, 5) if known else ""
+
     table = (
         TableOf(range(allan.tau.size))
         .number("averaging time", lambda k: short(allan.tau[k]), "s")
@@ -129,13 +134,8 @@ def _deviations_table(noise: NoiseAnalysis) -> Table:
         .number("68 % band", lambda k: f"{short(allan.lower[k] / one)} to {short(allan.upper[k] / one)}")
         .number("degrees of freedom", lambda k: short(allan.degrees_of_freedom[k]))
     )
-    for each in others:
-        table = table.number(each.kind, partial(_at, each, allan.tau, one))
+    table.across(others, lambda each: each.kind, lambda k, each: at(each, k))
     return table.table(f"Deviations [{pretty_unit(unit)}]")
-
-
-def _at(each: AllanDeviation, tau: np.ndarray, one: float, k: int) -> str:
-    return short(each.deviation[k] / one, 5) if k < each.tau.size and each.tau[k] == tau[k] else ""
 
 
 def page(noise: NoiseAnalysis) -> Page:

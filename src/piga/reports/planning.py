@@ -161,8 +161,11 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
         Section("Time", "time", (_cheapest(plan), partial(_duration_figure, plan))),
     ]
     if not plan.request.direct:
-        lock = (partial(_lock_figure, plan), _excluded(plan))
-        sections.append(Section("Lock zone", "lock-zone", lock))
+        left_out: Notice | Table = Notice("info", "No candidate is in or near the lock zone.")
+        if plan.excluded:
+            rows = ((item.candidate.label, item.reason) for item in plan.excluded)
+            left_out = named_values("candidate", "reason", rows, "Candidates left out.")
+        sections.append(Section("Lock zone", "lock-zone", (partial(_lock_figure, plan), left_out)))
     if mounting is not None:
         blocks = (_mounting_notice(mounting), partial(_mounting_figure, mounting))
         sections.append(Section("Mounting", "mounting", blocks))
@@ -176,12 +179,6 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     )
 
 
-def _relative_uncertainty(plan: Plan, prediction: Prediction) -> float:
-    """Geometric mean of the uncertainties of the plan over those of another test (coefficients alike)."""
-    ratios = [plan.best.std(name) / prediction.std(name) for name in plan.names]
-    return math.exp(sum(math.log(r) for r in ratios) / len(ratios)) if min(ratios) > 0.0 else 0.0
-
-
 def _tiles(plan: Plan) -> tuple[Tile, ...]:
     reference = plan.reference
     tiles = [
@@ -189,7 +186,8 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
         Tile("Recorded", short(plan.best.recorded), "s", f"of {short(plan.best.duration)} s"),
     ]
     if not reference.refusal:
-        gain = _relative_uncertainty(plan, reference)
+        ratios = [plan.best.std(name) / reference.std(name) for name in plan.names]
+        gain = math.exp(sum(map(math.log, ratios)) / len(ratios)) if min(ratios) > 0.0 else 0.0
         tiles.append(
             Tile(
                 "Uncertainty",
@@ -271,13 +269,6 @@ def _cheapest(plan: Plan) -> Notice | None:
         f"Wanted {wanted}: {short(cheapest.plan.duration)} s are enough ({visits}); no test of these candidates "
         f"is shorter than {short(cheapest.bound)} s.",
     )
-
-
-def _excluded(plan: Plan) -> Notice | Table:
-    if not plan.excluded:
-        return Notice("info", "No candidate is in or near the lock zone.")
-    rows = ((item.candidate.label, item.reason) for item in plan.excluded)
-    return named_values("candidate", "reason", rows, "Candidates left out.")
 
 
 def _mounting_notice(mounting: Mounting) -> Notice:

@@ -81,7 +81,8 @@ def figures(test: SimulatedTest) -> Drawn:
         drawn["imperfections"] = partial(_imperfection_figure, test)
     drawn["output"] = partial(_output_figure, test)
     if test.specimen.instrument.tan_beta:
-        drawn["locking"] = partial(_lock_zone_figure, test)
+        across = np.hypot(*test.profile.force[test.profile.recorded, 1:].T)
+        drawn["locking"] = partial(locking_figure, test.specimen.instrument, (float(across.max()),))
     if test.motion is not None:
         drawn["servo"] = partial(servo_figure, test, test.motion)
         design = test.specimen.design
@@ -119,12 +120,6 @@ def _imperfection_figure(test: SimulatedTest) -> Figure:
     plot = Plot("imperfections", "Imperfections of the stand", time, "true less reference [µg]")
     _components(plot, t, (test.profile.force - test.profile.reference) / MICRO_G)
     return plot.caption("What the imperfections change: the instrument feels it, the log does not show it.")
-
-
-def _lock_zone_figure(test: SimulatedTest) -> Figure:
-    """Mean rate against specific force at the largest transverse force that is recorded."""
-    across = np.hypot(*test.profile.force[test.profile.recorded, 1:].T)
-    return locking_figure(test.specimen.instrument, (float(across.max()),))
 
 
 def _output_figure(test: SimulatedTest) -> Figure:
@@ -175,14 +170,12 @@ def bode_figure(p: TwinParameters) -> Figure:
     plot.dashed([cross, cross], [gain.min(), gain.max()], "crossover", "muted")
     plot.panel(across, "phase [deg]", "Phase").line(hertz, phase, "open loop")
     plot.level(hertz, -180.0, "-180 deg", "warning")
+    margin = analysis.gain_margin
+    gain_margin = f"{20.0 * math.log10(margin):.3g} dB" if math.isfinite(margin) else "unlimited"
     return plot.caption(
         f"Crossover {cross:.3g} Hz, phase margin {math.degrees(analysis.phase_margin):.3g} deg, gain margin "
-        f"{_margin(analysis.gain_margin)}, nutation {analysis.nutation / (2 * math.pi):.3g} Hz."
+        f"{gain_margin}, nutation {analysis.nutation / (2 * math.pi):.3g} Hz."
     )
-
-
-def _margin(gain_margin: float) -> str:
-    return f"{20.0 * math.log10(gain_margin):.3g} dB" if math.isfinite(gain_margin) else "unlimited"
 
 
 def step_figure(p: TwinParameters) -> Figure:
@@ -211,24 +204,25 @@ def pole_figure(p: TwinParameters) -> Figure:
     )
 
 
-_MODELS = {"quasi-steady": "quasi-steady model", "twin": "servo twin"}
-
-
-def _model(test: SimulatedTest) -> str:
-    return "direct instrument" if test.specimen.direct else _MODELS[test.model]
-
-
 def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     """The page of a simulated test."""
-    drawn = figures(test)
-    sections = [_stand_section(test, drawn), _output_section(drawn)]
+    drawn, values = figures(test), imperfection_values(test.imperfections)
+    off = _values_table(values, "Imperfections of the stand: true less assumed value.") if values else None
+    seen = "The lab sees the output only. The lower panel is the truth that a calibration has to find."
+    true = _values_table(coefficients(test), "True coefficients, under the names and units of a calibration.")
+    sections = [
+        Section("The stand", "the-stand", (drawn["stand"], drawn.get("imperfections"), off)),
+        Section("The output", "the-output", (seen, drawn["output"], drawn.get("locking"))),
+    ]
     if test.motion is not None:
         sections += [_servo_section(test, drawn), _design_section(test.specimen.design)]
-    sections.append(_truth_section(test))
+    sections.append(Section("The truth", "the-truth", (true,)))
     duration = test.profile.segments[-1].stop - test.profile.segments[0].start
+    model = "quasi-steady model" if test.model == "quasi-steady" else "servo twin"
+    model = "direct instrument" if test.specimen.direct else model
     return Page(
         title="Simulated test" if serial == "simulated" else f"Simulated test of {serial}",
-        subtitle=f"{test.stand.kind}, {_model(test)}, {short(duration)} s, seed {test.seed}.",
+        subtitle=f"{test.stand.kind}, {model}, {short(duration)} s, seed {test.seed}.",
         tiles=_tiles(test),
         sections=tuple(sections),
         kicker="piga · simulated test",
@@ -274,18 +268,6 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     return tuple(tiles)
 
 
-def _stand_section(test: SimulatedTest, drawn: Drawn) -> Section:
-    values = imperfection_values(test.imperfections)
-    caption = "Imperfections of the stand: true less assumed value."
-    table = _values_table(values, caption) if values else None
-    return Section("The stand", "the-stand", (drawn["stand"], drawn.get("imperfections"), table))
-
-
-def _output_section(drawn: Drawn) -> Section:
-    lead = "The lab sees the output only. The lower panel is the truth that a calibration has to find."
-    return Section("The output", "the-output", (lead, drawn["output"], drawn.get("locking")))
-
-
 def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
     changes = test.motion.lock_changes() if test.motion is not None else ()
     when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
@@ -316,20 +298,11 @@ def _number(value: float) -> str:
     return "unlimited" if math.isinf(value) else significant(value, 5)
 
 
-def _truth_section(test: SimulatedTest) -> Section:
-    caption = "True coefficients, under the names and units of a calibration."
-    return Section("The truth", "the-truth", (_values_table(coefficients(test), caption),))
-
-
-def _name(value: TrueValue) -> str:
-    return value.name if value.segment is None else f"{value.name}[{value.segment}]"
-
-
 def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
     shown = [(value, *shown_unit(value.name, value.unit)) for value in values]
     return (
         TableOf(shown)
-        .text("name", lambda row: _name(row[0]))
+        .text("name", lambda row: row[0].name + (f"[{row[0].segment}]" if row[0].segment else ""))
         .number("value", lambda row: significant(row[0].value * row[1], 8))
         .text("unit", lambda row: pretty_unit(row[2]))
         .text("", lambda row: row[0].note)

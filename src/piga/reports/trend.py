@@ -186,8 +186,8 @@ def _summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
         .text("Coefficient", lambda trend: trend.key)
         .text("Unit", lambda trend: pretty_unit(shown_unit(trend.key, trend.unit)[1]) or "1")
         .number("On the last day", _last_day)
-        .number("Turn-on", lambda trend: _spread(trend.turn_on * _scale(trend)), "std")
-        .number("Day to day", lambda trend: _spread(trend.day_to_day * _scale(trend)), "std")
+        .number("Turn-on", lambda trend: short(trend.turn_on * _scale(trend), 2), "std")
+        .number("Day to day", lambda trend: short(trend.day_to_day * _scale(trend), 2), "std")
         .number("Drift per year", _drift)
     )
     if at is not None:
@@ -222,10 +222,6 @@ def _interval(forecast: Forecast, scale: float) -> str:
     return rounded(forecast.value * scale, forecast.half_width() * scale).interval
 
 
-def _spread(value: float) -> str:
-    return "–" if math.isnan(value) else short(value, 2)
-
-
 def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
     figure = partial(trend_figure, drifts, trend, ahead)
     lead = f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}."
@@ -246,14 +242,14 @@ def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
         .number("u without the shared part", lambda row: short(row[0].own * scale, 2), shown)
         .number("u", lambda row: short(row[0].std * scale, 2), shown)
         .number("U (95 %)", lambda row: short(row[0].expanded * scale, 2), shown)
-        .number("Forecast ± 95 %", lambda row: _expected(row[0].forecast, scale), shown)
+        .number(
+            "Forecast ± 95 %",
+            lambda row: "–" if row[0].forecast is None else _interval(row[0].forecast, scale),
+            shown,
+        )
         .number("Score", lambda row: _score(row[0]))
         .table(caption)
     )
-
-
-def _expected(forecast: Forecast | None, scale: float) -> str:
-    return "–" if forecast is None else _interval(forecast, scale)
 
 
 def _score(point: Point) -> Cell:

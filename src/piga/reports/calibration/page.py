@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration, Quality
+from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import (
     COUNTED,
@@ -82,13 +82,6 @@ def _total_duration(cal: Calibration) -> float:
 def _segments_in_words(cal: Calibration) -> str:
     runs = f"{len(cal.runs)} runs, " if cal.runs else ""
     return runs + ("one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments")
-
-
-def _scatter(cal: Calibration) -> str:
-    """Scatter of the rates of the positions, in words; empty if there is none."""
-    level = cal.segment_scatter
-    shown = short(level / cal.scale_factor_nominal / G0 * 1e6)
-    return f"{shown} µg ({short(level)} {cal.unit})" if level else ""
 
 
 _METHODS = {
@@ -177,15 +170,26 @@ def page(cal: Calibration) -> Page:
     )
 
 
+RUNS_LEAD = (
+    "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
+    "the others must."
+)
+SETTLED_LEAD = "How the estimates settled while the record came in, sample by sample."
+
+
 def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]:
     if cal.given:
         return _tested(cal), _coefficients(cal), _provenance(cal)
     return (
         _tested(cal),
-        *([_runs(cal)] if cal.runs else []),
+        *([Section("Runs", "runs", (RUNS_LEAD, runs_table(cal)))] if cal.runs else []),
         _coefficients(cal),
         _residuals(cal, shown),
-        *([_convergence(shown)] if "convergence" in shown else []),
+        *(
+            [Section("Convergence", "history", (SETTLED_LEAD, shown["convergence"]))]
+            if "convergence" in shown
+            else []
+        ),
         *([] if cal.direct else [_orders(shown)]),
         _segments(cal, shown),
         _budget(cal, shown),
@@ -218,31 +222,27 @@ def _subtitle(cal: Calibration) -> str:
     return f"{_files_in_words(cal)}: {extent}, {count(cal.quality.used)} samples used. {model}"
 
 
-def _improvement(before: float, after: float) -> str:
-    return f"{short(before / after)} times less" if after > 0.0 and before > after else "no improvement"
-
-
 def _tiles(cal: Calibration) -> tuple[Tile, ...]:
     if cal.given:
         return tuple(_coefficient_tiles(cal))
     clear = cal.verdict.grade == "clear"
     better: Tone = "bad" if cal.residual_rms >= cal.residual_rms_before else "good" if clear else ""
     (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
+    rms, before = cal.residual_rms, cal.residual_rms_before
+    less = f"{short(before / rms)} times less" if before > rms > 0.0 else "no improvement"
     tiles = [
         Tile(
             f"{quantity.capitalize()}, rms",
-            f"{short(cal.residual_rms_before / per)} → {short(cal.residual_rms / per)}",
+            f"{short(before / per)} → {short(rms / per)}",
             unit,
-            f"before → after: {_improvement(cal.residual_rms_before, cal.residual_rms)}",
+            f"before → after: {less}",
             better,
         ),
         Tile(
             f"{quantity.capitalize()}, largest",
             f"{short(cal.residual_max_before / per)} → {short(cal.residual_max_after / per)}",
             unit,
-            f"{short(cal.residual_max_after / cal.residual_rms)} times the rms after"
-            if cal.residual_rms
-            else "",
+            f"{short(cal.residual_max_after / rms)} times the rms after" if rms else "",
         ),
         *_coefficient_tiles(cal),
         _freedom_tile(cal),
@@ -325,14 +325,6 @@ def _tested(cal: Calibration) -> Section:
     return Section("What was tested", "tested", (lead, facts_table(rows)))
 
 
-def _runs(cal: Calibration) -> Section:
-    lead = (
-        "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
-        "the others must."
-    )
-    return Section("Runs", "runs", (lead, runs_table(cal)))
-
-
 def _coefficients(cal: Calibration) -> Section:
     lead = (
         "The instrument's coefficients as found from this record, rounded by their uncertainty. Good: uncertainties "
@@ -353,11 +345,6 @@ def _residuals(cal: Calibration, shown: dict[str, Figure]) -> Section:
     )
     drawn: list[Content] = [figure for name, figure in shown.items() if name.startswith("residuals")]
     return Section("Residuals against time", "residuals", (lead, *(drawn or [missing])))
-
-
-def _convergence(shown: dict[str, Figure]) -> Section:
-    lead = "How the estimates settled while the record came in, sample by sample."
-    return Section("Convergence", "history", (lead, shown["convergence"]))
 
 
 def _orders(shown: dict[str, Figure]) -> Section:
@@ -431,13 +418,15 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
 
 
 def _noise(cal: Calibration) -> list[tuple[str, str]]:
-    count = integral_unit(cal.unit)
+    count, level = integral_unit(cal.unit), cal.segment_scatter
+    scatter = f"{short(level / cal.scale_factor_nominal / G0 * 1e6)} µg ({short(level)} {cal.unit})"
+    scatter = scatter if level else "none seen"
     white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
     raw = ("", "") if cal.direct else (_raw(cal.angle_rms, count), _raw(cal.angle_random_walk, f"{count}/√s"))
     return [
         (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms{raw[0]}"),
         ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}{raw[1]}"),
-        ("Scatter of the rate from segment to segment", _scatter(cal) or "none seen"),
+        ("Scatter of the rate from segment to segment", scatter),
     ]
 
 
@@ -454,7 +443,13 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
         found = quality_table(cal.quality)
     elif cal.quality.masked:
         found = Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used.")
-    rows = [(f"Run {run.name}", _rows_in_words(run.quality)) for run in cal.runs]
+    rows = [
+        (
+            f"Run {run.name}",
+            f"{count(run.quality.rows)} rows read, {count(run.quality.used)} used, {count(run.quality.masked)} masked",
+        )
+        for run in cal.runs
+    ]
     text = (
         "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
         "none is formed across a jump."
@@ -462,10 +457,6 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
     left_out = (text, shown.get("outliers"), outlier_table(cal)) if cal.outliers else ()
     content = (lead, facts_table(rows) if rows else None, found, *left_out)
     return Section("Data quality", "quality", content)
-
-
-def _rows_in_words(quality: Quality) -> str:
-    return f"{count(quality.rows)} rows read, {count(quality.used)} used, {count(quality.masked)} masked"
 
 
 def _provenance(cal: Calibration) -> Section:

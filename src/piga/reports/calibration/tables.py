@@ -85,15 +85,14 @@ def coefficient_table(cal: Calibration, *, every: bool = False) -> Table:
             "k u (95 %)" if cal.type_a_only else "U (95 %)", known(lambda c: shown(c, c.expanded).uncertainty)
         )
         .text("Unit", lambda c: pretty_unit(shown_unit(c.name, c.unit)[1] if c.determined else c.unit) or "1")
-        .number("u / value", known(_relative))
+        .number(
+            "u / value",
+            known(lambda c: Cell(relative(c.value, c.std), "doubtful" if c.std > abs(c.value) else "")),
+        )
         .number("dof", known(freedom))
         .number("k", known(factor))
         .table(notes=_coefficient_notes(cal))
     )
-
-
-def _relative(c: Coefficient) -> Cell:
-    return Cell(relative(c.value, c.std), "doubtful" if c.std > abs(c.value) else "")
 
 
 def freedom(coefficient: Coefficient) -> str:
@@ -226,16 +225,16 @@ def segment_table(cal: Calibration) -> Table:
         table.number("Turns", lambda segment: fixed(segment.turns or 0.0, 2), "rev")
     table = (
         table.number("rms before", lambda segment: short(segment.rms_before / per), unit)
-        .number("rms after", lambda segment: _rms_after(segment.rms / per, typical / per), unit)
+        .number(
+            "rms after",
+            lambda segment: Cell(short(segment.rms / per), "doubtful" if segment.rms > 3.0 * typical else ""),
+            unit,
+        )
         .number("Largest after", lambda segment: short(segment.max_after / per), unit)
     )
     if phases:
         table.number("Phase φ", lambda segment: _phase_shown(phases.get(segment.label)), "rad")
     return table.table(notes=notes, segments=tuple(chosen))
-
-
-def _rms_after(rms: float, typical: float) -> Cell:
-    return Cell(short(rms), "doubtful" if rms > 3.0 * typical else "")
 
 
 def _phase_shown(phase: Coefficient | None) -> str:
@@ -396,6 +395,7 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
     monte_carlo = cal.diagnostics.monte_carlo
     if monte_carlo is None:
         return ()
+    agreed = Cell("yes", "good")
     tried = [
         (c, monte_carlo.coefficients[c.key], *shown_unit(c.name, c.unit))
         for c in cal.coefficients
@@ -411,14 +411,12 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
         .number("95 %, symmetric", lambda row: _interval(row[1].symmetric, row[2]))
         .number("95 %, shortest", lambda row: _interval(row[1].shortest, row[2]))
         .number("Tolerance", lambda row: short(row[1].tolerance * row[2], 1))
-        .text("Agreement", lambda row: _agreement(row[1].validated))
+        .text(
+            "Agreement", lambda row: agreed if row[1].validated else Cell("no: Monte Carlo holds", "doubtful")
+        )
         .table(notes=(f"{monte_carlo.trials} trials.",))
     )
     return (table,)
-
-
-def _agreement(validated: bool) -> Cell:
-    return Cell("yes", "good") if validated else Cell("no: Monte Carlo holds", "doubtful")
 
 
 def _interval(ends: tuple[float, float], scale: float) -> str:

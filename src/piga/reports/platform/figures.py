@@ -9,7 +9,7 @@ import numpy as np
 
 from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates, spectrum
-from piga.platform.chain import ModelComparisonRun, ModelRun
+from piga.platform.chain import ModelComparisonRun
 from piga.platform.identify import GrowingIdentification
 from piga.platform.scenario import Model
 from piga.platform.simulate import PlatformRun
@@ -279,25 +279,3 @@ def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
     return plot.caption(
         "Amplitude of a sine at each period (Hann window). The Schuler motion stands at 84 min."
     )
-
-
-def model_figure(run: ModelRun) -> Figure:
-    """Errors of one model over the run and over its last forty minutes."""
-    e = run.errors
-    axis, unit = time_axis(float(e.times[-1]))
-    late = e.times > e.times[-1] - 40.0 * MINUTE
-    name = run.navigation.model
-    whole = "No model" if name == "none" else f"Model {name}"
-    plot = Plot(f"fig-model-{name}", whole, columns=2, height=2.4)
-    parts = (np.ones_like(late), axis, 0.0, unit), (late, "time before the end [min]", e.times[-1], MINUTE)
-    velocity: tuple[tuple[str, Role, int], ...] = (("east", "x", 1), ("north", "y", 0))
-    attitude: tuple[tuple[str, Role, int], ...] = (("roll", "x", 0), ("pitch", "y", 1), ("heading", "z", 2))
-    for label, errors, curves in (
-        ("velocity error [m/s]", e.velocity, velocity),
-        ("attitude error [arcmin]", e.attitude / ARCMIN, attitude),
-    ):
-        for part, x, origin, scale in parts:
-            plot.panel(x, label)
-            for curve, role, k in curves:
-                plot.line((e.times[part] - origin) / scale, errors[part, k], curve, role)
-    return plot.caption("Left: the whole run. Right: its last forty minutes.")

@@ -28,7 +28,6 @@ from piga.reports.platform.figures import (
     convergence_figure,
     histories_figure,
     lines_figure,
-    model_figure,
     model_name,
     position_figure,
     published_figure,
@@ -56,7 +55,10 @@ def _parameter_table(identification: Identification, s: PlatformScenario) -> Tab
         apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
     )
     rows = [_parameter_row(p, truth.get(p.name)) for p in identification.parameters]
-    noise = ", ".join(f"{name} {_noise(name, level)}" for name, level in identification.noise.items())
+    noise = ", ".join(
+        f"force {level:.2g} m/s^2" if name == "force" else f"{name} {level / ARCSEC:.3g} arcsec"
+        for name, level in identification.noise.items()
+    )
     note = f"Noise found in the residuals: {noise}. Truth includes the circle of case-fixed drift."
     return _quantities(rows, "off truth, in uncertainties", note)
 
@@ -81,10 +83,6 @@ def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
         difference = float(wrapped(difference)) if phase else difference
         off = f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
     return name, f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off
-
-
-def _noise(name: str, level: float) -> str:
-    return f"{level:.2g} m/s^2" if name == "force" else f"{level / ARCSEC:.3g} arcsec"
 
 
 def _truth_by_name(polar: Gyro, equatorial: Gyro) -> dict[str, float]:
@@ -157,8 +155,10 @@ def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
             f"± {short(float(aligned.base_stds[2] / ARCSEC))} arcsec",
         ),
     )
+    note = "Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec."
+    table = _quantities(_alignment_rows(run, aligned), "off truth", note)
     sections = (
-        Section("Attitude and drift", "attitude", (_alignment_table(run, aligned),)),
+        Section("Attitude and drift", "attitude", (table,)),
         Section("How gravity tells it", "cone", (partial(cone_figure, run, aligned),)),
     )
     return page("Platform alignment", run.scenario, tiles, sections)
@@ -205,11 +205,14 @@ def _case_rotation_text(s: PlatformScenario) -> Text:
 
 
 def _observability_table(sources: Sequence[Observability]) -> Table:
-    table = (
-        TableOf(sources).text("source", lambda o: o.source).number("condition", lambda o: short(o.condition))
+    table = TableOf(sources).text("source", lambda o: o.source)
+    table.number("condition", lambda o: short(o.condition))
+    table.across(
+        range(len(UNKNOWNS)),
+        lambda k: UNKNOWNS[k],
+        lambda o, k: short(float(o.std[k] / ARCSEC)) if o.std[k] < 1.0 else "–",
+        lambda _: "arcsec",
     )
-    for k, name in enumerate(UNKNOWNS):
-        table.number(name, partial(_seen, k), "arcsec")
     table.text("verdict", lambda o: Cell(o.sentence, "good" if o.separable else "doubtful"))
     return table.table(
         notes=(
@@ -218,16 +221,6 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
             "On the specific force that is 48 µm/s², one arc-second of its direction.",
         )
     )
-
-
-def _seen(unknown: int, o: Observability) -> str:
-    """Uncertainty of an unknown from a source; a dash where the source cannot tell it."""
-    return short(float(o.std[unknown] / ARCSEC)) if o.std[unknown] < 1.0 else "–"
-
-
-def _alignment_table(run: PlatformRun, aligned: Alignment) -> Table:
-    note = "Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec."
-    return _quantities(_alignment_rows(run, aligned), "off truth", note)
 
 
 def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
@@ -255,9 +248,9 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
         Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
         for m, r in comparison.models.items()
     )
-    each = tuple(partial(model_figure, r) for r in comparison.models.values())
+    both = (partial(histories_figure, comparison), partial(published_figure, comparison))
     sections = (
-        Section("Models over the run", "models", each),
+        Section("Models over the run", "models", both),
         Section("Position", "position", (partial(position_figure, comparison),)),
         *_preparation_section(comparison.run.scenario, comparison.preparation),
     )
