@@ -6,15 +6,28 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
-from piga.calibration.joint import check_items, fit_jointly
+from piga.calibration.fit import without_scatter
+from piga.calibration.joint import (
+    JointFit,
+    check_items,
+    contributions,
+    fit_alone,
+    fit_jointly,
+    given_servo_of,
+    with_own_sources,
+)
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.result import OneRun, SeveralRuns
+from piga.calibration.monte_carlo import monte_carlo_intervals
+from piga.calibration.remarks.advice import advise, with_advice
+from piga.calibration.remarks.left_out import left_out_terms
+from piga.calibration.remarks.missing_terms import Candidates
+from piga.calibration.result import make_result
 from piga.calibration.revolutions import whole_turns
 from piga.calibration.summary import RunSummary
-from piga.calibration.uncertainty import combined, share_of_type_a, with_given_servo
-from piga.errors import ArgumentError, CalibrationError, CalibrationWarning
+from piga.calibration.uncertainty import budget_of, combined, share_of_type_a, with_given_servo
+from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.records.calibration import Calibration
+from piga.records.calibration import BudgetTable, Calibration
 from piga.records.run import Run
 from piga.records.terms import term_names
 from piga.threads import one_thread
@@ -85,8 +98,7 @@ def calibrate(
                     "several runs can be calibrated together only with method 'information' and phase_source 'output'",
                     remedy="leave method and phase_source out, or calibrate the runs one by one",
                 )
-            several = fit_jointly(runs, wanted, phases or phase, own, steps)
-            result = _calibration(SeveralRuns(several), steps)
+            result = _calibration(fit_jointly(runs, wanted, phases or phase, own, steps), steps)
         else:
             request = make_request(runs[0], wanted, method, phases or phase, phase_source, own)
             result = _of_one_run(runs[0], request, steps)
@@ -99,29 +111,38 @@ def calibrate(
 def _of_one_run(run: Run, request: Request, steps: Steps) -> Calibration:
     """Calibration of one run; of whole turns, if the method asks for them: from their ends."""
     if request.method != "revolutions":
-        return _calibration(OneRun.of(run, request, steps), steps)
+        return _calibration(_fitted(run, request, steps), steps)
     turns = whole_turns(run, request)
     own = make_request(turns.run, turns.terms, "information", "per-segment", "output", ())
-    result = _calibration(OneRun.of(turns.run, own, steps), steps)
+    result = _calibration(_fitted(turns.run, own, steps), steps)
     words = "whole turns average the coupling out: tan_beta is not in the result; use method 'information'"
     notes = (words, *result.notes) if "tan_beta" in request.terms else result.notes
     return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=turns.outliers)
 
 
-def _calibration(fitted: OneRun | SeveralRuns, steps: Steps) -> Calibration:
+def _fitted(run: Run, request: Request, steps: Steps) -> JointFit:
+    """The fit of one run; if it is refused, and other axes, signs or units fit far better, the remedy says so."""
+    try:
+        return fit_alone(run, request, steps)
+    except (IdentifiabilityError, DataError) as error:
+        raise with_advice(error, advise(run, request)) from None
+
+
+def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
     steps("adding up the budget")
-    budget, doubts = fitted.budget(steps), fitted.doubts()
+    fit = with_own_sources(fit, steps)
+    budget = budget_of(fit.coefficients, fit.covariance, list(contributions(fit, steps)))
+    candidates = Candidates(without_scatter(fit.only.fit)) if fit.only else None
+    doubts = left_out_terms(fit, candidates)
     for doubt in (doubt for doubt in doubts if doubt.change.any()):
-        budget = budget.with_row(doubt.row(fitted.coefficients))
-    type_a, covariance = budget.covariances(fitted.covariance)
-    degrees = fitted.degrees * share_of_type_a(type_a, fitted.covariance)
-    coefficients = combined(fitted.coefficients, covariance, budget.rows, degrees)
+        budget = budget.with_row(doubt.row(fit.coefficients))
+    type_a, covariance = budget.covariances(fit.covariance)
+    degrees = fit.degrees * share_of_type_a(type_a, fit.covariance)
+    coefficients = combined(fit.coefficients, covariance, budget.rows, degrees)
     steps("checking the intervals")
-    monte_carlo = None
-    if isinstance(fitted, OneRun):
-        coefficients, monte_carlo = fitted.propagated(coefficients, degrees, budget)
+    coefficients, monte_carlo = monte_carlo_intervals(fit, coefficients, degrees, budget)
     steps("looking for missing terms")
-    result = fitted.result(coefficients, covariance, budget.rows, doubts)
+    result = make_result(fit, coefficients, covariance, BudgetTable(budget.rows), doubts, candidates)
     result = replace(result, diagnostics=replace(result.diagnostics, monte_carlo=monte_carlo))
-    return with_given_servo(result, *fitted.servo())
+    return with_given_servo(result, *given_servo_of(fit))

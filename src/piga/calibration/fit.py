@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property
 
 import numpy as np
 
-from piga.calibration.intervals import Interval, Repetition, find_interval
+from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Solution, layout_of, moved_values, name_coefficients, solve
+from piga.calibration.model.solution import Solution, name_coefficients, solve
 from piga.calibration.outliers import (
     find_flags,
     first_noise,
@@ -27,7 +27,7 @@ from piga.calibration.outliers import (
     suspicious,
     without_rates,
 )
-from piga.calibration.servo import reduce_settled
+from piga.calibration.servo import at_phases, reduce_settled
 from piga.calibration.weights import (
     RATE,
     Noise,
@@ -36,7 +36,6 @@ from piga.calibration.weights import (
     find_scatter,
     of_segments,
     reduce_between,
-    reduce_segments,
     residual_increments,
     starting_noise,
     weighting_mode,
@@ -86,33 +85,29 @@ class FittedRecord:
 class Fit:
     """A finished fit of one run.
 
-    ``positions`` are the triangles ``[model | rate | y]`` of the positions, without scatter; ``summaries`` the triangles
-    ``[model | y]`` of the segments, with it. ``d`` and ``h`` are the residual increments and their intervals. ``outliers`` are
-    the samples left out.
+    ``rows`` are the triangles ``[model | rate | y]`` of the positions, without scatter; servo columns have no phase.
+    ``d`` and ``h`` are the residual increments and their intervals. ``outliers`` are the samples left out.
     """
 
     design: Design
     mode: str
     noise: Noise
-    positions: list[Reduction]
-    summaries: list[Reduction]
+    rows: list[Reduction]
     solution: Solution
     examination: Examination
     d: Array = field(repr=False)
     h: Array = field(repr=False)
     outliers: tuple[Outlier, ...] = ()
 
-    def reduce(self, design: Design) -> list[Reduction]:
-        """One triangle per segment of a record with the same sampling, with the weights of the fit."""
-        return reduce_segments(design, self.mode, self.noise)
+    @cached_property
+    def positions(self) -> list[Reduction]:
+        """The same triangles with the servo columns at the phases of the fit."""
+        return at_phases(self.design, self.rows)
 
     @property
-    def record(self) -> FittedRecord:
-        """The record under the fit."""
-        jacobians = [self.solution.jacobians[group] for group in self.design.groups]
-        moved = partial(moved_values, self.design, self.solution)
-        values, inverse = self.solution.values, self.solution.inverse
-        return FittedRecord(self.design, self.mode, self.noise, values, jacobians, inverse, moved)
+    def summaries(self) -> list[Reduction]:
+        """Triangles ``[model | y]`` of the segments, with scatter."""
+        return of_segments(with_scatter(self.positions, self.noise), Positions.of(self.design.run))
 
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
@@ -170,7 +165,8 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
     for refit in range(_REFITS):
-        design, parts = reduce_settled(raw, mode, noise)
+        design, rows = reduce_settled(raw, mode, noise)
+        parts = at_phases(design, rows)
         summaries = of_segments([part.select(design.names) for part in parts], positions)
         examination = examine(design, summaries)
         refuse_if_confounded(examination)
@@ -189,7 +185,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
         summaries = of_segments(with_scatter(parts, noise), positions)
         solution = solve(design, summaries)
         d, h = residual_increments(design, solution.values)
-    return Fit(design, mode, noise, parts, summaries, solution, examination, d, h)
+    return Fit(design, mode, noise, rows, solution, examination, d, h)
 
 
 def _scattered(fit: Fit) -> Array:
@@ -206,9 +202,8 @@ def without_scatter(fit: Fit) -> Fit:
     """The fit with the weights of white noise, random walk and stated scatter only; tests of the model use it."""
     if fit.noise.scatter == 0.0:
         return fit
-    noise, positions = replace(fit.noise, scatter=0.0), Positions.of(fit.design.run)
-    summaries = of_segments(with_scatter(fit.positions, noise), positions)
-    return replace(fit, noise=noise, summaries=summaries, solution=solve(fit.design, summaries))
+    quiet = replace(fit, noise=replace(fit.noise, scatter=0.0))
+    return replace(quiet, solution=solve(fit.design, quiet.summaries))
 
 
 def _given_noise(request: Request) -> Noise | None:
@@ -241,17 +236,6 @@ def repetitions(
             part, design.groups[segment], variance, name, float(t0), float(t1), block=positions.continuous
         )
         for part, segment, variance, name, t0, t1 in columns
-    )
-
-
-def interval_of_run(fit: Fit) -> Interval:
-    """Covariance and degrees of freedom of the internal parameters of a fit, by the scatter of its positions."""
-    layout = layout_of(fit.design, max(fit.solution.phases.size, 1))
-    return find_interval(
-        layout,
-        fit.solution,
-        repetitions(fit.design, fit.noise, fit.positions),
-        stated=bool(fit.noise.stated),
     )
 
 

@@ -1,4 +1,4 @@
-"""Several runs of one instrument, calibrated together from their summaries.
+"""The fit of one run or of several runs of one instrument, from their summaries.
 
 Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
 the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries can be added. Therefore the raw
@@ -12,12 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit import FittedRecord
+from piga.calibration.fit import FittedRecord, fit_run
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
-from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
+from piga.calibration.model.identifiability import (
+    Examination,
+    examine_parts,
+    refuse_if_confounded,
+    refuse_useless,
+)
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import check_per_run, harmonics_of, make_request, shared_of
+from piga.calibration.model.request import Request, check_per_run, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import (
     Estimate,
     Layout,
@@ -28,11 +33,20 @@ from piga.calibration.model.solution import (
 )
 from piga.calibration.servo import at_state, state_of
 from piga.calibration.sources import merged_sources, with_effects
-from piga.calibration.summary import LiveRun, RunSummary, SourceSummary, prepare, run_name, summarise
-from piga.calibration.uncertainty import effects_of, units_of
+from piga.calibration.summary import (
+    LiveRun,
+    RunSummary,
+    SourceSummary,
+    own_summary,
+    prepare,
+    run_name,
+    summarise,
+    with_sources,
+)
+from piga.calibration.uncertainty import effects_of, stated_scatter, units_of
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
-from piga.progress import Steps
+from piga.progress import SILENT, Steps
 from piga.records.calibration import Coefficient, StandSource
 from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
@@ -61,6 +75,11 @@ class Wish:
     terms: tuple[str, ...]
     per_run: tuple[str, ...]
     own: tuple[tuple[str, ...], ...]
+
+    @classmethod
+    def of_one(cls, terms: tuple[str, ...]) -> Wish:
+        """The request for one run."""
+        return cls(terms, (), (terms,))
 
     def terms_of(self, index: int) -> tuple[str, ...]:
         """Terms of one run: the common terms, and those ``per_run`` terms that the run asks for."""
@@ -92,6 +111,13 @@ class MergedRuns:
             tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
         layout = Layout("tan_beta" in wish.terms, harmonics_of(wish.terms), tuple(keys), tuple(tails))
         return cls(wish, tuple(summaries), layout, shared)
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Range in which the result is valid: that of all runs together (SI)."""
+        names = dict.fromkeys(name for summary in self.summaries for name in summary.ranges)
+        held = {name: [s.ranges[name] for s in self.summaries if name in s.ranges] for name in names}
+        return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in held.items()}
 
     @property
     def local(self) -> Names:
@@ -206,17 +232,15 @@ class MergedRuns:
             for position, part in zip(summary.positions, held, strict=True):
                 group = first + position.group
                 chosen = part if state is None else at_state(part, wanted, state, group, known)
-                name = f"{summary.name}:{position.name}"
+                name = f"{summary.name}:{position.name}" if summary.name else position.name
                 result.append(replace(position, part=chosen, group=group, run=index, name=name))
-            if summary.holds_one_position:
+            if summary.holds_one_position and len(self.summaries) > 1:
                 blocks = result[-len(held) :]
-                whole = Reduction.stacked([block.part for block in blocks])
-                times = blocks[0].begin, blocks[-1].end
-                merged = replace(blocks[0], part=whole, name=summary.name, block=False)
-                result[-len(held) :] = [replace(merged, begin=times[0], end=times[1])]
+                whole, end = Reduction.stacked([block.part for block in blocks]), blocks[-1].end
+                result[-len(held) :] = [replace(blocks[0], part=whole, name=summary.name, end=end, block=False)]
         return result
 
-    def interval(self, estimate: Estimate, state: ServoState | None) -> Interval:
+    def interval_of(self, estimate: Estimate, state: ServoState | None) -> Interval:
         """Covariance and degrees of freedom of the internal parameters, by the scatter of the positions of all runs."""
         stated = any(summary.noise.stated for summary in self.summaries)
         return find_interval(self.layout, estimate, self.repetitions(state), stated=stated)
@@ -234,15 +258,26 @@ class MergedRuns:
 
 @dataclass(frozen=True)
 class JointFit(MergedRuns):
-    """The solution of merged runs: those with raw data, estimate, named coefficients with their degrees of freedom, servo state."""
+    """The solution of merged runs: those with raw data, estimate with its interval, named coefficients, servo state."""
 
     live: tuple[LiveRun | None, ...]
     estimate: Estimate
+    interval: Interval
     coefficients: tuple[Coefficient, ...]
     covariance: Array
-    degrees: Array
     examination: Examination
     servo: ServoState | None
+
+    @property
+    def degrees(self) -> Array:
+        """Degrees of freedom of Type A in the order of the coefficients."""
+        phases = len(self.coefficients) - self.layout.size
+        return self.interval.degrees[asked_order(self.layout, self.wish.terms, phases)]
+
+    @property
+    def only(self) -> LiveRun | None:
+        """The run, if there is one only, with raw data."""
+        return self.live[0] if len(self.live) == 1 else None
 
     def servo_of(self, index: int, segments: int) -> ServoState | None:
         """State that combines the servo columns in the segments of a run; None without servo terms."""
@@ -254,15 +289,14 @@ class JointFit(MergedRuns):
 
     def design_of(self, index: int, live: LiveRun) -> tuple[Design, Array]:
         """Columns of a run with raw data, and their coefficients in each of its segments."""
-        segments = len(live.run.labels)
-        wish, scale_factor = (
-            replace(live.request, terms=self.wish.terms_of(index)),
-            self.summaries[index].inner_scale_factor,
-        )
-        values = self.column_values(index)
+        segments, values = len(live.run.labels), self.column_values(index)
         if len(values) != segments:
             values = np.tile(values[0], (segments, 1))
-        return Design(live.run, wish, scale_factor, self.servo_of(index, segments)), values
+        own, terms = live.fit.design, self.wish.terms_of(index)
+        state, scale_factor = self.servo_of(index, segments), self.summaries[index].inner_scale_factor
+        if own.request.terms == terms and own.scale_factor == scale_factor:
+            return own.with_servo(state), values
+        return Design(live.run, replace(live.request, terms=terms), scale_factor, state), values
 
     def record(self, index: int, live: LiveRun) -> FittedRecord:
         """A run with raw data under the fit."""
@@ -289,6 +323,19 @@ class JointFit(MergedRuns):
         return np.array(
             [self.layout.linear(self.estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
         )
+
+
+def fit_alone(run: Run, request: Request, steps: Steps) -> JointFit:
+    """Fit one run from the triangles of its own fit.
+
+    Raises
+    ------
+    IdentifiabilityError, DataError
+        If the record does not determine what is asked.
+    """
+    live = LiveRun("", request, fit_run(run, request, stated_scatter(run)), ())
+    steps("finding the intervals")
+    return _useful(merge_runs(Wish.of_one(request.terms), [own_summary(live)], [live]))
 
 
 def fit_jointly(
@@ -336,7 +383,17 @@ def fit_jointly(
         prepared_again = live[i]
         if prepared_again is not None:
             summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
-    return merge_runs(wish, summaries, live) if stale else merged
+    return _useful(merge_runs(wish, summaries, live) if stale else merged)
+
+
+def _useful(fit: JointFit) -> JointFit:
+    """The fit, if it determines its coefficients well enough to be a result."""
+    ranges = fit.ranges
+    largest = max(*(abs(v) for v in ranges["a_x"]), ranges["a_t"][1])
+    duration = max(max(p.end for p in s.positions) - min(p.begin for p in s.positions) for s in fit.summaries)
+    spread = float(np.ptp(ranges["temperature"])) if "temperature" in ranges else 0.0
+    refuse_useless(fit.coefficients, largest, duration, spread)
+    return fit
 
 
 def _wish(
@@ -362,6 +419,8 @@ def _own_terms(items: Sequence[Run | RunSummary], own: Sequence[tuple[str, ...]]
     asked = [names for names in given if names is not None]
     if asked:
         return tuple(dict.fromkeys(name for names in asked for name in names))
+    if len(items) == 1:
+        return ()
     counts = [len(item.segments if isinstance(item, RunSummary) else item.labels) for item in items]
     with_bias = [count for count, names in zip(counts, own, strict=True) if BIAS in names]
     return (BIAS,) if with_bias and min(with_bias) > 1 else ()
@@ -416,14 +475,12 @@ def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
         )
 
 
-def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | None]) -> JointFit:
+def merge_runs(wish: Wish, summaries: Sequence[RunSummary], live: Sequence[LiveRun | None]) -> JointFit:
     """Merge summaries that contain the requested columns, and solve; raises as :meth:`MergedRuns.solved` does."""
     runs = MergedRuns.of(wish, summaries)
     state, examination, estimate = runs.solved()
-    interval = runs.interval(estimate, state)
+    interval = runs.interval_of(estimate, state)
     coefficients, covariance = runs.named(estimate, interval.covariance)
-    phases = len(coefficients) - runs.layout.size
-    degrees = interval.degrees[asked_order(runs.layout, wish.terms, phases)]
     return JointFit(
         wish=wish,
         summaries=runs.summaries,
@@ -431,9 +488,9 @@ def merge_runs(wish: Wish, summaries: list[RunSummary], live: list[LiveRun | Non
         shared=runs.shared,
         live=tuple(live),
         estimate=estimate,
+        interval=interval,
         coefficients=coefficients,
         covariance=covariance,
-        degrees=degrees,
         examination=examination,
         servo=state,
     )
@@ -465,10 +522,10 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSumma
     for numbers in moved.values():
         (first, number), *_ = numbers.items()
         source, names = summaries[first].sources[number], ", ".join(summaries[index].name for index in numbers)
-        yield replace(source, name=f"{source.name} ({names})"), numbers
+        yield (replace(source, name=f"{source.name} ({names})") if names else source), numbers
 
 
-def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SourceSummary, Array]]:
+def contributions(fit: JointFit, steps: Steps = SILENT) -> Iterator[tuple[SourceSummary, Array]]:
     """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
 
     Each source is reported to ``steps``.
@@ -483,10 +540,32 @@ def joint_contributions(fit: JointFit, steps: Steps) -> Iterator[tuple[SourceSum
     for place, (source, numbers) in enumerate(joint_sources(fit.summaries)):
         steps.parts(place, f"adding up the budget: {source.name}")
         draws = range(len(source.segments)) if source.segments else (None,)
-        yield source, np.array([change(numbers, segment) for segment in draws])
+        moved_by = np.array([change(numbers, segment) for segment in draws])
+        if moved_by.any() or not source.name.startswith(_SERVO_SOURCE):
+            yield source, moved_by
 
 
-def joint_sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
+def with_own_sources(fit: JointFit, steps: Steps) -> JointFit:
+    """The fit of one run with the summaries of its sources; those of several runs have them."""
+    if fit.only is None:
+        return fit
+    live = fit.only.fit
+    summary = with_sources(fit.summaries[0], live.design.with_servo(None), live.mode, steps)
+    return replace(fit, summaries=(summary,))
+
+
+def given_servo_of(fit: JointFit) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Given coefficients of the servo, and by source of Type B the same, moved by it."""
+    given = dict(fit.summaries[0].known_servo)
+    moved = {
+        source.name: dict(fit.summaries[index].sources[number].known_servo)
+        for source, numbers in joint_sources(fit.summaries)
+        for index, number in list(numbers.items())[:1]
+    }
+    return given, moved
+
+
+def sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
     """The sources of the stands of all runs, and the change of each coefficient by one unit of those not stated.
 
     The summary of a run without its raw data has no effects.

@@ -424,7 +424,8 @@ class UnionReduction:
         noise = replace(fit.noise, scatter=0.0, stated=())
         positions, parted_by = parts_of(live.run, design.per_segment)
         triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
-        summary = bare_summary(live, design, repetitions(design, noise, triangles, positions))
+        held = repetitions(design, noise, triangles, positions)
+        summary = bare_summary("", request, design, fit.noise, held)
         return cls(fit, summary, parted_by, logarithm)
 
     @property
@@ -434,7 +435,7 @@ class UnionReduction:
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        runs = MergedRuns.of(Wish(terms, (), (terms,)), [self.summary])
+        runs = MergedRuns.of(Wish.of_one(terms), [self.summary])
         try:
             _refuse_servo_alone(terms)
             state, _, estimate = runs.solved()

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga.calibration.fit import Fit
+from piga.calibration.joint import JointFit
+from piga.calibration.model.design import Design
 from piga.calibration.uncertainty import Budget
 from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
 from piga.records.calibration.coefficient import coverage_factor, short_way
@@ -147,28 +148,27 @@ def propagate_distributions(
 
 
 def monte_carlo_intervals(
-    fit: Fit,
-    covariance: Array,
-    degrees: Array,
-    coefficients: tuple[Coefficient, ...],
-    budget: Budget,
-    wanted: str,
+    fit: JointFit, coefficients: tuple[Coefficient, ...], degrees: Array, budget: Budget
 ) -> tuple[tuple[Coefficient, ...], MonteCarlo | None]:
     """Coefficients with Monte Carlo intervals where the first order fails, and the comparison for the report.
 
-    ``covariance`` is that of the internal parameters by Type A, ``degrees`` the degrees of freedom of Type A of the coefficients.
-    ``wanted`` is "gum", "monte-carlo" or "auto" (Monte Carlo when tan_beta is not well above its noise). Records with
-    several phases, and methods other than whitened least squares, always use the first order.
+    ``degrees`` are the degrees of freedom of Type A of the coefficients. The run file asks for "gum", "monte-carlo" or "auto"
+    (Monte Carlo when tan_beta is not well above its noise). Several runs, records with several phases, and methods other
+    than whitened least squares always use the first order.
     """
+    live = fit.only
+    if live is None:
+        return coefficients, None
+    wanted = live.run.estimation.uncertainty
     coupling = [c for c in coefficients if c.name == "tan_beta"]
     weak = any(c.value < _DOUBTFUL * c.std for c in coupling)
-    able = fit.mode == "increments" and len(fit.solution.jacobians) == 1
+    able = live.fit.mode == "increments" and len(fit.estimate.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None
-    results = _results(fit, coefficients)
-    jacobian = fit.solution.jacobians[0]
-    base = fit.solution.values[0]
-    type_a = jacobian @ covariance @ jacobian.T
+    design, values = fit.design_of(0, live)
+    results = _results(design, coefficients)
+    jacobian, base = fit.estimate.jacobians[0], values[0]
+    type_a = jacobian @ fit.interval.covariance @ jacobian.T
     std = np.sqrt(np.diag(type_a))
     derivative = _derivative(results, base, std)
     sources = [
@@ -185,7 +185,7 @@ def monte_carlo_intervals(
     )
     known = {c.name: own for c, own in zip(coefficients, degrees.tolist(), strict=True)}
     turned = min(known.get("tan_beta", math.inf), known.get("phi", math.inf))
-    own = np.array([turned if name in ("p", "q") else known.get(name, math.inf) for name in fit.design.names])
+    own = np.array([turned if name in ("p", "q") else known.get(name, math.inf) for name in design.names])
     limits = np.array(
         [(c.value - c.coverage_factor * c.std, c.value + c.coverage_factor * c.std) for c in coefficients]
     )
@@ -241,9 +241,8 @@ def size_limits(value: float, std: float, degrees: float) -> tuple[float, float]
     return size_at(0.975) * unit, max(size_at(0.025), math.sqrt(chdtri(2.0, 0.05))) * unit
 
 
-def _results(fit: Fit, coefficients: tuple[Coefficient, ...]) -> Callable[[Array], Array]:
+def _results(design: Design, coefficients: tuple[Coefficient, ...]) -> Callable[[Array], Array]:
     """Function from column coefficients (trials, m) to file units (trials, n), phi near its estimate."""
-    design = fit.design
     at = {name: index for index, name in enumerate(design.names)}
     near = {c.name: c.value for c in coefficients}
 

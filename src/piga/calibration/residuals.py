@@ -178,7 +178,7 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     )
 
 
-def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
+def diagnose(innovation: Array, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
     """``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are
@@ -187,7 +187,7 @@ def diagnose(residuals: Residuals, plain: Diagnostics, runs: tuple[Products, ...
     """
     from scipy.special import gammaincc
 
-    x = _formed(residuals.innovation)
+    x = taken(innovation, innovation != 0.0)
     n = x.size
     if n < 50:
         return replace(plain, samples=n)
@@ -320,8 +320,3 @@ def add_lagged_products(x: Array, out: Array) -> None:
             stop = min(start + LAG_PART, x.size - k)
             if stop > start:
                 out[k] += x[start:stop] @ x[start + k : stop + k]
-
-
-def _formed(innovation: Array) -> Array:
-    """Whitened residuals of the increments that were formed."""
-    return taken(innovation, innovation != 0.0)

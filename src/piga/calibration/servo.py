@@ -184,7 +184,7 @@ def _without_servo(layout: Layout) -> Layout:
 def reduce_settled(design: Design, mode: str, noise: Noise) -> tuple[Design, list[Reduction]]:
     """The design with the servo columns at the phases of the record, and a triangle ``[model | rate | y]`` per position.
 
-    One pass: triangles with columns without a phase give the phases, and then combine.
+    One pass: the triangles have servo columns without a phase. They give the phases; :func:`at_phases` combines them.
 
     Raises
     ------
@@ -200,10 +200,16 @@ def reduce_settled(design: Design, mode: str, noise: Noise) -> tuple[Design, lis
     layout = Layout.of_one("tan_beta" in raw.request.terms, raw.request.harmonics, terms, len(held))
     names = raw.local_names + terms
     state = state_of(layout, held, (names,) * len(held), known, per_segment=len(held) > 1)
-    state = replace(state, phases=tuple(state.phases[group] for group in raw.groups))
-    segments = positions.segments.tolist()
-    turned = [at_state(p, (*names, RATE), state, s, known) for p, s in zip(parts, segments, strict=True)]
-    return raw.with_servo(state), turned
+    return raw.with_servo(replace(state, phases=tuple(state.phases[group] for group in raw.groups))), parts
+
+
+def at_phases(design: Design, rows: list[Reduction]) -> list[Reduction]:
+    """Triangles ``[model | rate | y]`` of the positions with the servo columns at the phases of the design."""
+    state, segments = design.servo, Positions.of(design.run).segments.tolist()
+    if state is None:
+        return rows
+    names, known = (*design.names, RATE), design.known_servo
+    return [at_state(part, names, state, segment, known) for part, segment in zip(rows, segments, strict=True)]
 
 
 def with_mean_servo(design: Design) -> Design:

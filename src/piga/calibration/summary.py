@@ -25,11 +25,12 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import merged_groups
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.sources import Source, listed, sources
+from piga.calibration.sources import listed, sources
 from piga.calibration.uncertainty import stated_scatter
-from piga.calibration.weights import RATE, Noise, reduce_positions
+from piga.calibration.weights import RATE, Noise, Positions, of_segments, reduce_positions, reduce_segments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results
+from piga.progress import SILENT, Steps
 from piga.records.arrays import largest_size
 from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary, StandSource
 from piga.records.limits import read_whole
@@ -305,20 +306,27 @@ def _all_columns(run: Run, request: Request) -> tuple[str, ...]:
     return (*static, *logged, *(term for term in request.terms if harmonic(term)))
 
 
-def bare_summary(live: LiveRun, design: Design, positions: tuple[Repetition, ...]) -> RunSummary:
-    """The triangles of a prepared run, with what is needed to solve them: no sources, no residuals."""
-    run, fit = live.run, live.fit
+def bare_summary(
+    name: str,
+    request: Request,
+    design: Design,
+    noise: Noise,
+    positions: tuple[Repetition, ...],
+    undetermined: tuple[str, ...] = (),
+) -> RunSummary:
+    """Triangles of the positions of a run, with what is needed to solve them: no sources, no residuals."""
+    run = design.run
     return RunSummary(
-        name=live.name,
+        name=name,
         serial=run.serial,
         scale_factor=run.scale_factor,
         kind=run.kind,
-        terms=live.request.terms,
-        per_run=live.request.per_run,
-        phases=live.request.phases,
-        temperature_reference=live.request.temperature_reference,
-        time_reference=fit.design.time_reference,
-        noise=fit.noise,
+        terms=request.terms,
+        per_run=request.per_run,
+        phases=request.phases,
+        temperature_reference=request.temperature_reference,
+        time_reference=design.time_reference,
+        noise=noise,
         inner_scale_factor=design.scale_factor,
         turning=run.base_rate is not None,
         labels=run.labels if design.per_segment else (None,),
@@ -326,64 +334,76 @@ def bare_summary(live: LiveRun, design: Design, positions: tuple[Repetition, ...
         sources=(),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=run.uncertainty.reference_id,
-        undetermined=live.undetermined,
+        undetermined=undetermined,
         quality=run.quality,
         segments=(),
         figures={},
-        ranges={},
+        ranges=validity_ranges(run),
+        input_sha256=dict(run.input_sha256),
+        source=run.source,
         known_servo=tuple(given_servo(run).items()),
         unit=run.unit,
     )
 
 
+def own_summary(live: LiveRun) -> RunSummary:
+    """The triangles of the run's own fit."""
+    fit = live.fit
+    positions = repetitions(fit.design, fit.noise, fit.rows)
+    summary = bare_summary(live.name, live.request, fit.design, fit.noise, positions)
+    return replace(summary, outliers=fit.outliers)
+
+
 def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
     """Reduce a prepared run to the given columns; ``scale_factor`` replaces the K inside the regressors."""
     run, fit = live.run, live.fit
-    design = Design(
-        run, replace(live.request, terms=columns, per_run=()), scale_factor or fit.design.scale_factor
-    )
+    wish = replace(live.request, terms=columns, per_run=())
+    design = Design(run, wish, scale_factor or fit.design.scale_factor)
     positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
-    plain = fit.reduce(design)
-    return replace(
-        bare_summary(live, design, positions),
-        sources=tuple(_source(source, plain, design.of(source.moved), fit) for source in sources(run)),
-        stand_sources=listed(run),
-        **_described(fit),
-    )
+    summary = bare_summary(live.name, live.request, design, fit.noise, positions, live.undetermined)
+    return replace(with_sources(summary, design, fit.mode), **_described(fit))
 
 
-def _source(source: Source, plain: list[Reduction], moved: Design, fit: Fit) -> SourceSummary:
-    summary = SourceSummary(
-        source.name,
-        source.value,
-        source.unit,
-        (),
-        source.distribution,
-        source.degrees_of_freedom,
-        tuple(given_servo(moved.run).items()),
-        source.draw,
-    )
-    rows, groups = fit.reduce(moved), moved.groups
-    if source.draw != "segment":
-        return replace(summary, parts=tuple(merged_groups(rows, groups)))
-    segments = []
-    for s, group in enumerate(groups):
-        alone = (rows[k] if k == s else plain[k] for k, own in enumerate(groups) if own == group)
-        segments.append((group, Reduction.stacked(list(alone))))
-    return replace(summary, segments=tuple(segments), in_fit=bool(fit.noise.stated))
+def with_sources(summary: RunSummary, design: Design, mode: str, steps: Steps = SILENT) -> RunSummary:
+    """The summary of a record with the sources of Type B, each with its moved triangles. ``steps`` hears of each source.
+
+    Moved records are not kept, because each is as large as the record.
+    """
+    noise, groups, segments = summary.noise, design.groups, Positions.of(design.run)
+    alone = [position.part.without((RATE,), position.variance) for position in summary.positions]
+    plain, moved_by = of_segments(alone, segments), []
+    for number, source in enumerate(sources(design.run)):
+        steps.parts(number, f"adding up the budget: {source.name}")
+        moved = design.of(source.moved)
+        rows, drawn = reduce_segments(moved, mode, noise), source.draw == "segment"
+        own = []
+        for s, group in enumerate(groups) if drawn else ():
+            parts = [rows[k] if k == s else plain[k] for k, other in enumerate(groups) if other == group]
+            own.append((group, Reduction.stacked(parts)))
+        moved_by.append(
+            SourceSummary(
+                source.name,
+                source.value,
+                source.unit,
+                () if drawn else tuple(merged_groups(rows, groups)),
+                source.distribution,
+                source.degrees_of_freedom,
+                tuple(given_servo(moved.run).items()),
+                source.draw,
+                tuple(own),
+                in_fit=drawn and bool(noise.stated),
+            )
+        )
+    return replace(summary, sources=tuple(moved_by), stand_sources=listed(design.run))
 
 
 def _described(fit: Fit) -> dict[str, Any]:
     """Segments and figures of a run from its own fit."""
-    run = fit.design.run
     residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
     return {
         "segments": segment_table(fit.design, residuals),
         "figures": residual_figures(residuals),
-        "ranges": validity_ranges(run),
         "outliers": fit.outliers,
-        "input_sha256": dict(run.input_sha256),
-        "source": run.source,
         "software": f"piga {__version__}",
         "created": now(),
     }

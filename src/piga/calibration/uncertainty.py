@@ -8,53 +8,24 @@ segment is moved in one segment at a time, which gives one change per segment.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from piga.calibration.model.design import Design
-from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.sources import Source, across_squared, listed, sources, with_effects, with_units
+from piga.calibration.sources import Source, across_squared, sources, with_effects, with_units
 from piga.calibration.weights import Extra, reduce_positions, residual_increments
-from piga.progress import SILENT, Steps
 from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
-from piga.records.calibration.coefficient import short_way, welch_satterthwaite
+from piga.records.calibration.coefficient import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array
 
 if TYPE_CHECKING:
-    from piga.calibration.fit import Fit, FittedRecord
+    from piga.calibration.fit import FittedRecord
     from piga.calibration.summary import SourceSummary
-
-
-def contributions(
-    design: Design,
-    reduced: Callable[[Design], list[Reduction]],
-    plain: list[Reduction],
-    base: Array,
-    steps: Steps = SILENT,
-) -> Iterator[tuple[Source, Array]]:
-    """Change of the coefficients (draws, n; file units) by each source; ``base`` is the unmoved estimate.
-
-    ``reduced`` gives one triangle per segment of a moved record with the weights of the fit, ``plain`` are those of the record.
-    A source has one draw, or one draw per segment. Moved records are not kept, because each is as large as the record. ``steps``
-    hears of each source.
-    """
-    run = design.run
-    unmoved = values_near(base, design, reduced(design)) if run.servo else base
-    for number, source in enumerate(sources(run)):
-        steps.parts(number, f"adding up the budget: {source.name}")
-        moved = reduced(design.of(source.moved))
-        draws = [moved]
-        if source.draw == "segment":
-            draws = [[*plain[:s], part, *plain[s + 1 :]] for s, part in enumerate(moved)]
-        values = np.array([values_near(base, design, parts) for parts in draws])
-        if "servo" not in source.fields or not np.array_equal(values[0], unmoved):
-            yield source, values - base
 
 
 def stated_scatter(run: Run) -> tuple[float, ...]:
@@ -117,38 +88,17 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
     return share
 
 
-def make_budget(
-    fit: Fit,
-    coefficients: tuple[Coefficient, ...],
-    covariance: Array,
-    steps: Steps,
-) -> Budget:
-    """The budget of a fit: one row per source. ``covariance`` (n, n) is that of the coefficients."""
-    base = np.array([coefficient.value for coefficient in coefficients])
-    changes_by_source = list(contributions(fit.design, fit.reduce, fit.summaries, base, steps))
-    stated = bool(fit.noise.stated)
-    in_fit = tuple(stated and source.draw == "segment" for source, _ in changes_by_source)
-    return budget_of(coefficients, covariance, changes_by_source, in_fit)
-
-
 def units_of(design: Design) -> list[Source]:
     """One unit of each source that nobody stated; of a long record the means of neighbouring samples are moved."""
     return [source for source in sources(with_units(design.means.run)) if "servo" not in source.fields]
 
 
-def sources_of_stand(fit: Fit, keys: Sequence[str]) -> tuple[StandSource, ...]:
-    """The sources of the stand, and the change of each coefficient by one unit of those that are not stated."""
-    units = units_of(fit.design)
-    effects = zip([source.name for source in units], effects_of(fit.record, units), strict=True)
-    return with_effects(listed(fit.design.run), dict(effects), keys)
-
-
-def unstated_servo(fit: Fit, keys: Sequence[str]) -> StandSource:
+def unstated_servo(record: FittedRecord, keys: Sequence[str]) -> StandSource:
     """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
 
     It lowers the output, as a reference that is as much too large.
     """
-    run = fit.design.means.run
+    run = record.design.means.run
     unit = 1e-6 * si_factor("servo")
 
     def force(part: slice) -> Array:
@@ -156,7 +106,7 @@ def unstated_servo(fit: Fit, keys: Sequence[str]) -> StandSource:
         change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
         return change
 
-    (effect,) = effects_of(fit.record, [Source(run, "servo", 1.0, "ug/g^3", force=force)])
+    (effect,) = effects_of(record, [Source(run, "servo", 1.0, "ug/g^3", force=force)])
     return with_effects((StandSource("servo", "unstated", "ug/g^3"),), {"servo": effect}, keys)[0]
 
 
@@ -181,27 +131,19 @@ def effects_of(record: FittedRecord, units: Sequence[Source]) -> list[Array]:
 def budget_of(
     coefficients: tuple[Coefficient, ...],
     covariance: Array,
-    changes_by_source: Sequence[tuple[Source | SourceSummary, Array]],
-    in_fit: tuple[bool, ...],
+    changes_by_source: Sequence[tuple[SourceSummary, Array]],
 ) -> Budget:
     """The budget from the changes of the coefficients by each source; ``covariance`` is that of the fit."""
     changes = tuple(change for _, change in changes_by_source)
+    in_fit = tuple(source.in_fit for source, _ in changes_by_source)
     type_a = Budget((), changes, in_fit).covariances(covariance)[0]
     return Budget(_budget_rows(coefficients, type_a, changes_by_source), changes, in_fit)
-
-
-def values_near(base: Array, design: Design, summaries: list[Reduction]) -> Array:
-    """Coefficients (n,; file units) from one summary per segment; a phase is taken the short way round from ``base``."""
-    solution = solve(design, summaries)
-    named, _ = name_coefficients(design, solution, solution.covariance)
-    values = np.array([c.value for c in named])
-    return np.where([c.name == "phi" for c in named], base + short_way(values - base), values)
 
 
 def _budget_rows(
     coefficients: tuple[Coefficient, ...],
     type_a: Array,
-    changes: Iterable[tuple[Source | SourceSummary, Array]],
+    changes: Iterable[tuple[SourceSummary, Array]],
 ) -> tuple[BudgetEntry, ...]:
     """Rows of the budget: Type A with its covariance, then each source with its changes (draws, n)."""
     std = np.sqrt(np.diag(type_a))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import msgspec
@@ -21,24 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit import repetitions
-from piga.calibration.intervals import LeverageError, find_interval
+from piga.calibration.intervals import LeverageError
+from piga.calibration.joint import JointFit, Wish, contributions, merge_runs
 from piga.calibration.model.design import Design, ServoState
-from piga.calibration.model.identifiability import examine, refuse_if_confounded
-from piga.calibration.model.solution import asked_order, layout_of, name_coefficients, solve
 from piga.calibration.servo import reduce_settled, with_mean_servo
-from piga.calibration.uncertainty import contributions
+from piga.calibration.summary import bare_summary, with_sources
 from piga.calibration.weights import (
     RATE,
     Extra,
     Noise,
-    Positions,
     counted_rates,
-    of_segments,
     reduce_positions,
-    reduce_segments,
     weighted_blocks,
     weighting_mode,
-    with_scatter,
 )
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
@@ -369,41 +363,36 @@ def predict(
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     try:
-        design, parts = reduce_settled(design, mode, noise)
-        summaries = of_segments(with_scatter(parts, noise), Positions.of(run))
-        refuse_if_confounded(examine(design, summaries))
-        solution = solve(design, summaries)
-        layout = layout_of(design, max(solution.phases.size, 1))
-        interval = find_interval(layout, solution, repetitions(design, noise, parts))
+        design, rows = reduce_settled(design, mode, noise)
+        summary = bare_summary("", wish, design, noise, repetitions(design, noise, rows))
+        fit = merge_runs(Wish.of_one(wish.terms), [summary], [None])
     except IdentifiabilityError as error:
         if refuse and not isinstance(error, LeverageError):
             raise IdentifiabilityError(
                 error.message.replace("record", "plan", 1), remedy=error.remedy
             ) from None
         return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
-    named, covariance = name_coefficients(design, solution, solution.covariance)
+    named, covariance = fit.named(fit.estimate, fit.estimate.covariance)
+    raw = design.with_servo(None)
     if run.resolution > 0.0:
-        stated = _stated_with_counts(request, design, mode, noise)
+        stated = _stated_with_counts(request, raw, mode, fit)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
-    degrees = interval.degrees[asked_order(layout, wish.terms, solution.phases.size)]
-    coefficients = tuple(replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, degrees, strict=True))
-    base = np.array([c.value for c in coefficients])
-
-    squares = np.zeros(base.size)
+    coefficients = tuple(
+        replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, fit.degrees, strict=True)
+    )
+    squares = np.zeros(len(coefficients))
     if type_b:
-        for _, change in contributions(
-            design, partial(reduce_segments, mode=mode, noise=noise), summaries, base
-        ):
+        for _, change in contributions(replace(fit, summaries=(with_sources(summary, raw, mode),))):
             squares += np.sum(change**2, axis=0)
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 
 
-def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: Noise) -> Array:
+def _stated_with_counts(request: PlanRequest, design: Design, mode: str, fit: JointFit) -> Array:
     """Root mean square of the Type A standard uncertainties that records with counts and noise state (file units).
 
     What the counts add to the noiseless output of each record is one more column of the same reduction.
     """
-    e, whole, positions = request.scenario.electronics, design.run, Positions.of(design.run)
+    e, whole, summary = request.scenario.electronics, design.run, fit.summaries[0]
     rng, count = np.random.default_rng(0), whole.resolution
     walk = e.angle_random_walk * math.sqrt(whole.median_step)
     rows, changes = design.means, []
@@ -415,17 +404,16 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, noise: 
     columns = np.where(rows.run.begins, 0.0, changes)
     names = tuple(f"record {k}" for k in range(_COUNTED_RECORDS))
     extra = Extra(names, lambda block: columns[:, block.start : block.stop])
-    parts, stated = reduce_positions(design, mode, noise, positions, extra), []
+    parts, stated = reduce_positions(design, mode, summary.noise, extra=extra), []
     model = (*design.names, RATE)
     for k in range(_COUNTED_RECORDS):
         matrix = np.zeros((len(model) + _COUNTED_RECORDS + 1, len(model) + 1))
         matrix[: len(model), : len(model)] = np.eye(len(model))
         matrix[[len(model) + k, -1], -1] = 1.0
-        record = [part.mixed(model, matrix) for part in parts]
-        solution = solve(design, of_segments(with_scatter(record, noise), positions))
-        layout = layout_of(design, max(solution.phases.size, 1))
-        interval = find_interval(layout, solution, repetitions(design, noise, record))
-        stated.append([c.std for c in name_coefficients(design, solution, interval.covariance)[0]])
+        pairs = zip(summary.positions, parts, strict=True)
+        record = tuple(replace(position, part=part.mixed(model, matrix)) for position, part in pairs)
+        counted = merge_runs(fit.wish, [replace(summary, positions=record)], [None])
+        stated.append([c.std for c in counted.coefficients])
     return np.asarray(np.sqrt(np.mean(np.square(stated), axis=0)))
 
 

@@ -34,7 +34,7 @@ from piga.calibration.remarks.missing_terms import (
     tested,
     with_term,
 )
-from piga.calibration.servo import reduce_settled
+from piga.calibration.servo import at_phases, reduce_settled
 from piga.calibration.sources import across_squared
 from piga.calibration.summary import LiveRun, RunSummary
 from piga.calibration.uncertainty import budget_row, unstated_servo
@@ -93,17 +93,14 @@ class LeftOut:
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
-def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[LeftOut, ...]:
-    """Servo signatures in a record; empty if none is clear, if terms absorb them, or if the stand separates them.
+def left_out_terms(fit: JointFit, candidates: Candidates | None) -> tuple[LeftOut, ...]:
+    """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stand separates them.
 
-    Parameters
-    ----------
-    candidates:
-        Those of the fit without slow noise.
-    coefficients:
-        Those of the result.
+    ``candidates`` are those of the only run, without scatter; None for several runs.
     """
-    plain = candidates.fit
+    if candidates is None:
+        return _left_out_of_runs(fit)
+    plain, coefficients = candidates.fit, fit.coefficients
     design = plain.design
     held = (*design.request.terms, *design.turning_servo)
     if design.request.phase_source != "output" or design.run.direct:
@@ -111,7 +108,7 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     square = constant_squares(design.run)[0]
     cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
     named = "servo" in held or ("k3" in held and square is not None) or "scale_factor" not in held
-    unnamed = () if named else _unnamed(candidates, coefficients, square)
+    unnamed = () if named else _unnamed(fit, candidates, square)
     if "tan_beta" not in held:
         return unnamed
     settled = square is None or design.turning_servo or "servo" in design.run.uncertainty.waived
@@ -146,14 +143,12 @@ def left_out_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]
     return (*doubts, *asked, *(() if covered else unnamed))
 
 
-def _unnamed(
-    candidates: Candidates, coefficients: tuple[Coefficient, ...], square: float | None
-) -> tuple[LeftOut, ...]:
+def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tuple[LeftOut, ...]:
     """The servo that a record does not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
 
     Without both it is listed with its effect, and has no size.
     """
-    plain, unit = candidates.fit, si_factor("servo")
+    plain, unit, coefficients = candidates.fit, si_factor("servo"), fit.coefficients
     run = plain.design.run
     if "servo" in run.uncertainty.waived:
         return ()
@@ -163,15 +158,9 @@ def _unnamed(
         return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
-    if names == ("k3",) and square is None:
-        return (
-            LeftOut(
-                _UNNAMED_SOURCE,
-                np.zeros(len(coefficients)),
-                "",
-                unstated_servo(plain, [c.key for c in coefficients]),
-            ),
-        )
+    if names == ("k3",) and square is None and fit.only:
+        listed = unstated_servo(fit.record(0, fit.only), [c.key for c in coefficients])
+        return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),)
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
@@ -213,10 +202,11 @@ def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
     request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
     raw = Design(plain.design.run, request, plain.design.scale_factor)
     try:
-        design, parts = reduce_settled(raw, plain.mode, plain.noise)
+        design, rows = reduce_settled(raw, plain.mode, plain.noise)
     except IdentifiabilityError:
         return None
-    solution = solve(design, of_segments(with_scatter(parts, plain.noise), Positions.of(raw.run)))
+    parts = with_scatter(at_phases(design, rows), plain.noise)
+    solution = solve(design, of_segments(parts, Positions.of(raw.run)))
     named, _ = name_coefficients(design, solution, solution.covariance)
     return {c.key: c.value for c in named}
 
@@ -342,7 +332,7 @@ class _WideRuns:
         return None if after is None or _chance(after, names) > limit else after
 
 
-def left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
+def _left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
     """Servo signatures in several runs; empty if none is clear or terms take them up."""
     terms = fit.wish.terms
     held = {*terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
