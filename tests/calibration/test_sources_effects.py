@@ -7,19 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga.calibration.fit import Fit, fit_run
+from piga.calibration.fit import Fit
+from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_own_sources
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import name_coefficients
+from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.sources import sources, with_units
-from piga.calibration.uncertainty import sources_of_stand, values_near
+from piga.calibration.weights import reduce_segments
+from piga.progress import SILENT
+from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
 from tests.calibration.made.synthetic import record
 
 
-def fit_of(run: Run, terms: str, phases: str) -> Fit:
-    return fit_run(
-        run, make_request(run, [name.strip() for name in terms.split(",")], None, phases, None, None)
-    )
+def fit_of(run: Run, terms: str, phases: str) -> JointFit:
+    request = make_request(run, [name.strip() for name in terms.split(",")], None, phases, None, None)
+    return with_own_sources(fit_alone(run, request, SILENT), SILENT)
 
 
 def check_effects(run: Run, terms: str, phases: str) -> Fit:
@@ -28,25 +30,25 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     A moved column meets the residuals too: a change of this size, which one pass does not contain. The phase of a segment
     is not linear in the increments: 1 %.
     """
-    fit = fit_of(run, terms, phases)
-    named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
-    base = np.array([c.value for c in named])
+    whole = fit_of(run, terms, phases)
+    assert whole.only is not None
+    fit, named = whole.only.fit, whole.named(whole.estimate, whole.estimate.covariance)[0]
 
     def estimate(moved: Run) -> np.ndarray:
-        return values_near(base, fit.design, fit.reduce(fit.design.of(moved)))
+        design = fit.design.of(moved)
+        solution = solve(design, reduce_segments(design, fit.mode, fit.noise))
+        return np.array([c.value for c in name_coefficients(design, solution, solution.covariance)[0]])
 
     units = with_units(fit.design.run)
     moves = zip(sources(units, 1.0), sources(units, -1.0), strict=True)
-    expected = {plus.name: 0.5 * (estimate(plus.moved) - estimate(minus.moved)) for plus, minus in moves}
-    effects = {
-        name: changes
-        for source in sources_of_stand(fit, [c.key for c in named])
-        for name, changes in source.effects.items()
+    expected = {
+        plus.name: 0.5 * changes(named, estimate(minus.moved), estimate(plus.moved)) for plus, minus in moves
     }
+    effects = {name: change for source in sources_of_stand(whole) for name, change in source.effects.items()}
     assert effects.keys() == {name for name in expected if not name.startswith("servo ")}
-    for name, changes in effects.items():
+    for name, moved in effects.items():
         for c, change in zip(named, expected[name], strict=True):
-            difference = changes.get(c.key, 0.0) - change
+            difference = moved.get(c.key, 0.0) - change
             share = 2e-5 if c.segment is None else 1e-2
             assert abs(difference) < share * abs(change) + 5e-4 * c.std, (name, c.key, difference / c.std)
     return fit

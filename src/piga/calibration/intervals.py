@@ -136,14 +136,9 @@ def _parameter_rows(
     """Triangle ``[parameters | rate | residual]`` of a position, linear about the estimate; a ``local`` phase is taken out."""
     group, factor = repetition.group, repetition.part.factor
     phase = float(estimate.phases[group]) if estimate.phases.size else 0.0
-    jacobian = (
-        layout.jacobian(estimate.amplitudes, estimate.phases, group)
-        if estimate.shift is None
-        else estimate.jacobians[group]
-    )
     m = factor.shape[1] - 2
     missed = factor[:, -1] - factor[:, :m] @ layout.linear(estimate.amplitudes, phase, group)
-    turned = factor[:, :m] @ jacobian
+    turned = factor[:, :m] @ estimate.jacobians[group]
     both = np.column_stack([turned[:, at], factor[:, m], missed])
     own = turned[:, layout.size + group] if local else np.zeros(len(factor))
     if not own.any():
@@ -192,9 +187,8 @@ def sandwich(
     variance = P[:, at, at]
     weight = np.maximum(variance + _SHARE * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
     trace = (weight * variance).sum(axis=1)
-    with np.errstate(
-        invalid="ignore", divide="ignore"
-    ):  # nan where as few runs as coefficients leave no scatter
+    # nan where as few runs as coefficients leave no scatter
+    with np.errstate(invalid="ignore", divide="ignore"):
         u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
         degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
     return u, degrees

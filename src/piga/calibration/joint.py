@@ -301,9 +301,8 @@ class JointFit(MergedRuns):
     def record(self, index: int, live: LiveRun) -> FittedRecord:
         """A run with raw data under the fit."""
         design, values = self.design_of(index, live)
-        amplitudes, phases = self.estimate.amplitudes, self.estimate.phases
-        groups = [self.first_group(index) + group for group in design.groups]
-        jacobians = [self.layout.jacobian(amplitudes, phases, group) for group in groups]
+        first = self.first_group(index)
+        jacobians = [self.estimate.jacobians[first + group] for group in design.groups]
         inverse = self.estimate.inverse
         return FittedRecord(design, live.fit.mode, live.fit.noise, values, jacobians, inverse, self.moved)
 

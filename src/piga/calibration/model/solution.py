@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,6 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 from piga.records.calibration import Coefficient
-from piga.records.calibration.coefficient import short_way
 from piga.records.terms import GYRO, si_factor, unit_of
 from piga.results import Array
 
@@ -242,15 +241,15 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
         for group, part in enumerate(parts):
             total.absorb(layout.embedded(part.factor, group).T, count=part.count)
     linear, covariance, cost = total.solve()
-    jacobian, amplitudes, phases = np.eye(len(linear)), linear, np.zeros(0)
+    amplitudes, phases = linear, np.zeros(0)
     if layout.coupled:
         phase = np.arctan2(linear[1], linear[0])
         phases = np.array([phase])
         amplitudes = layout.from_linear(linear, phase)
-        jacobian = layout.jacobian(amplitudes, phases, 0)
-        inverse = np.linalg.inv(jacobian)
+        inverse = np.linalg.inv(layout.jacobian(amplitudes, phases, 0))
         covariance = inverse @ covariance @ inverse.T
-    return Estimate(amplitudes, phases, covariance, cost, (jacobian,) * len(parts))
+    jacobians = tuple(layout.jacobian(amplitudes, phases, group) for group in range(len(parts)))
+    return Estimate(amplitudes, phases, covariance, cost, jacobians)
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
@@ -448,19 +447,6 @@ def name_coefficients(
     layout = layout_of(design, max(count, 1))
     run, terms = design.run, design.request.terms
     return name_parameters(layout, solution, covariance, run.scale_factor, terms, owners, run.unit)
-
-
-def moved_values(design: Design, solution: Solution, change: Array) -> Array:
-    """Change of the coefficients (n,; file units) by a change of the internal parameters ``[amplitudes, phases]``."""
-    size = solution.amplitudes.size
-    moved = replace(
-        solution, amplitudes=solution.amplitudes + change[:size], phases=solution.phases + change[size:]
-    )
-    before, after = (name_coefficients(design, one, solution.covariance)[0] for one in (solution, moved))
-    changes = [b.value - a.value for a, b in zip(before, after, strict=True)]
-    return np.array(
-        [float(short_way(d)) if c.name == "phi" else d for c, d in zip(before, changes, strict=True)]
-    )
 
 
 def variances_of(design: Design, solution: Estimate, covariance: Array) -> Array:
