@@ -527,7 +527,7 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSumma
 def contributions(fit: JointFit, steps: Steps = SILENT) -> Iterator[tuple[SourceSummary, Array]]:
     """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
 
-    Each source is reported to ``steps``.
+    Each source is reported to ``steps``, but for one run, whose sources were reported when they were reduced.
     """
     base = np.array([c.value for c in fit.coefficients])
 
@@ -537,7 +537,8 @@ def contributions(fit: JointFit, steps: Steps = SILENT) -> Iterator[tuple[Source
         return changes(named, base, np.array([c.value for c in named]))
 
     for place, (source, numbers) in enumerate(joint_sources(fit.summaries)):
-        steps.parts(place, f"adding up the budget: {source.name}")
+        if fit.only is None:
+            steps.parts(place, f"adding up the budget: {source.name}")
         draws = range(len(source.segments)) if source.segments else (None,)
         moved_by = np.array([change(numbers, segment) for segment in draws])
         if moved_by.any() or not source.name.startswith(_SERVO_SOURCE):
