@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from piga.errors import ArgumentError, PigaError
-from piga.workbench.folder import Folder
-from piga.workbench.history import ChangedError, History
+from piga.workbench.folder import ChangedError, Folder, History
 from tests.workbench.conftest import shipped_record
 
 

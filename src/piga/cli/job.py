@@ -103,8 +103,7 @@ def _envelopes(run: Path, folder: Path) -> None:
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes
 
-    began = time.time()
-    write_envelopes(read_run(run), read_run_file(run), folder, began)
+    write_envelopes(read_run(run), read_run_file(run), folder)
 
 
 if __name__ == "__main__":

@@ -18,18 +18,16 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from piga.errors import ArgumentError, PigaError
-from piga.workbench.folder import Folder
-from piga.workbench.history import ChangedError, History
+from piga.workbench.folder import Folder, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages import common, describe, explore, later, record
-from piga.workbench.pages.common import Bench, changed_page, error_page, gone_page
+from piga.workbench.pages.common import Bench, error_page
 from piga.workbench.security import LOOPBACK, Door, Guard, write_private
 
 ROUTES = [route for page in (common, describe, record, later, explore) for route in page.ROUTES]
 _MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""
-_MOST_PORT = 65535
 _GRACE, _LAST = 1, 1.5
 """Time [s] that open requests have when the server ends, and then a page that still reads a file."""
 
@@ -46,8 +44,8 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
         yield
         bench.jobs.stop_all()
 
-    handlers: dict[Any, Any] = {ChangedError: changed_page, ClientDisconnect: gone_page}
-    handlers |= dict.fromkeys((PigaError, HTTPException, OSError, Exception), error_page)
+    kinds = (PigaError, HTTPException, OSError, ClientDisconnect, Exception)
+    handlers: dict[Any, Any] = dict.fromkeys(kinds, error_page)
     app = Starlette(routes=ROUTES, lifespan=lifespan, exception_handlers=handlers)
     app.state.bench = bench
     return Guard(app, door)
@@ -91,12 +89,10 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
 
 def _listening(port: int) -> socket.socket:
     """A socket on the loopback address."""
-    if not 0 <= port <= _MOST_PORT:
-        raise ArgumentError(f"port {port}: is not between 0 and {_MOST_PORT}", remedy="choose another, or 0")
     try:
         return socket.create_server((LOOPBACK, port))
-    except OSError as error:
-        words = f"port {port} cannot be used ({error.strerror})"
+    except (OSError, OverflowError) as error:
+        words = f"port {port} cannot be used ({getattr(error, 'strerror', error)})"
         raise ArgumentError(words, remedy="choose another, or leave --port out") from None
 
 

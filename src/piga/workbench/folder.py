@@ -1,4 +1,4 @@
-"""The opened folder: which records and calibrations it has, and which paths may be used.
+"""The opened folder: its records and calibrations, which paths may be used, and what was changed in it.
 
 Only regular files below the folder are read, and no part of a path may be a link. Hidden files are refused. The hidden
 folder ``.piga-ui`` belongs to the workbench: results that are not kept yet, pictures of records, what was removed.
@@ -6,11 +6,15 @@ folder ``.piga-ui`` belongs to the workbench: results that are not kept yet, pic
 
 from __future__ import annotations
 
+import difflib
+import hashlib
 import os
 import re
 import secrets
 import stat
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -42,6 +46,8 @@ CALIBRATION = "calibration.json"
 _VERSION = re.compile(r"(.+?)(?:-v(\d{1,6}))?", re.DOTALL)
 """Folder of a kept calibration, and the number of an older version."""
 _UPLOAD_NAME = re.compile(r"[^\w.-]+")
+_MOST_STEPS, _MOST_TEXTS = 100, 300
+"""Changes that can be undone, and texts that are remembered to say what changed meanwhile."""
 
 
 class OutsideError(ArgumentError):
@@ -55,7 +61,7 @@ class _Coefficient(msgspec.Struct):
     unit: str
 
 
-class _Kept(msgspec.Struct):
+class _KeptFile(msgspec.Struct):
     """The parts of ``calibration.json`` that a list shows."""
 
     instrument: dict[str, Any]
@@ -138,8 +144,6 @@ class Folder:
         self.root = root.resolve()
         self._seen: dict[Any, tuple[Any, Any]] = {}
 
-    # --- the hidden folder ------------------------------------------------------------------------
-
     def state_room(self, *names: str) -> Path:
         """A folder of ``.piga-ui``; it is made when it is first needed."""
         path = self.root
@@ -150,10 +154,8 @@ class Folder:
             status = os.lstat(path)
             mine = not hasattr(os, "getuid") or status.st_uid == os.getuid()
             if not stat.S_ISDIR(status.st_mode) or not mine:
-                words = "is not a folder" if mine else "belongs to another user"
-                raise OutsideError(
-                    f"{self.name(path)} {words}", remedy=f"remove {STATE_FOLDER}, or open another folder"
-                )
+                words = f"{self.name(path)} {'is not a folder' if mine else 'belongs to another user'}"
+                raise OutsideError(words, remedy=f"remove {STATE_FOLDER}, or open another folder")
         return path
 
     # --- paths ------------------------------------------------------------------------------------
@@ -161,13 +163,13 @@ class Folder:
     def path(self, name: str) -> Path:
         """The path of the file or folder ``name`` below this folder. It need not exist."""
         if not _is_plain(name):
-            remedy = "rename it" if PurePosixPath(name).name.startswith("-") else "choose a listed file"
-            raise OutsideError(
-                f"{name[:200]!r}: is not a file of this folder that can be opened", remedy=remedy
-            )
+            words = f"{name[:200]!r}: is not a file of this folder that can be opened"
+            begins = PurePosixPath(name).name.startswith("-")
+            raise OutsideError(words, remedy="rename it" if begins else "choose a listed file")
         return self._checked(self.root / PurePosixPath(name))
 
     def _checked(self, path: Path) -> Path:
+        """The path, if it and the folders around it are no links and no devices. It need not exist."""
         try:
             inside = path.relative_to(self.root)
             for place in (*[self.root / part for part in list(inside.parents)[:-1]], path):
@@ -177,10 +179,8 @@ class Folder:
         except FileNotFoundError:
             return path
         except (OSError, ValueError):
-            raise OutsideError(
-                f"{path.name[:200]} is not a regular file of this folder",
-                remedy="copy the file itself into the opened folder",
-            ) from None
+            words = f"{path.name[:200]} is not a regular file of this folder"
+            raise OutsideError(words, remedy="copy the file itself into the opened folder") from None
         return path
 
     def file(self, name: str) -> Path:
@@ -190,11 +190,12 @@ class Folder:
             raise OutsideError(f"{name}: there is no such file", remedy="choose a listed file")
         return path
 
+    def name(self, path: Path) -> str:
+        """The path below the folder, with ``/``."""
+        return path.relative_to(self.root).as_posix()
+
     def read(self, path: Path, most: int = _MOST_RESULT) -> bytes:
         """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile."""
-        parts = path.relative_to(self.root).parts
-        if ".." in parts or not parts:
-            raise OutsideError(f"{path.name}: is no file of this folder", remedy="choose a listed file")
         try:
             with open(path, "rb", opener=lambda *_: self._opened(path)) as stream:
                 status = os.fstat(stream.fileno())
@@ -203,11 +204,11 @@ class Folder:
                         f"{path.name}: is no regular file, or too large", remedy="choose another"
                     )
                 return stream.read(most + 1)
-        except FileNotFoundError:
-            raise OutsideError(f"{path.name}: there is no such file", remedy="choose a listed file") from None
-        except OSError as error:
-            words = f"{path.name}: cannot be read ({error.strerror})"
-            raise OutsideError(words, remedy="choose another") from None
+        except (OSError, ValueError) as error:
+            words = (
+                f"{path.name}: cannot be read ({getattr(error, 'strerror', '') or 'not a file of this folder'})"
+            )
+            raise OutsideError(words, remedy="choose a listed file") from None
 
     def _opened(self, path: Path) -> int:
         """Number of an opened file below the folder. Each part of its path is opened in the one before, links are not."""
@@ -220,37 +221,25 @@ class Folder:
         for part in path.relative_to(self.root).parts:
             parent = number
             try:
-                number = os.open(part, flags, dir_fd=parent)
+                number = os.open(part if part != ".." else "", flags, dir_fd=parent)
             finally:
                 os.close(parent)
         return number
+
+    # --- TOML files -------------------------------------------------------------------------------
 
     def text(self, name: str) -> str:
         """The text of a TOML file of the folder."""
         return self.read(self.file(name), _MOST_TOML).decode("utf-8", "replace")
 
-    def name(self, path: Path) -> str:
-        """The path below the folder, with ``/``."""
-        return path.relative_to(self.root).as_posix()
-
     def toml(self, name: str) -> Path:
         """The path of a TOML file all of whose named files lie in this folder."""
         path = self.file(name)
         if path.suffix != ".toml" or path.stat().st_size > _MOST_TOML:
-            raise OutsideError(
-                f"{name}: is no TOML file of at most {_MOST_TOML >> 20} MiB", remedy="choose a run file"
-            )
-        for named in [*files_named_in(path), *_data_file(path, _toml_or_nothing(path))]:
-            self._named(path, named)
+            words = f"{name}: is no TOML file of at most {_MOST_TOML >> 20} MiB"
+            raise OutsideError(words, remedy="choose a run file")
+        self._check_named(path, [*files_named_in(path), *_data_file(path, _toml_or_nothing(path))])
         return path
-
-    def _named(self, path: Path, named: Path) -> None:
-        try:
-            self._checked(Path(os.path.normpath(named)))
-        except OutsideError as error:
-            raise OutsideError(
-                f"{path.name} names {named.name[:80]}: {error.message}", remedy=error.remedy
-            ) from None
 
     def write_toml(self, path: Path, text: str, *, kind: str = "run", new: bool = False) -> None:
         """Write a complete TOML file if it is valid. Every file that it names must be in this folder."""
@@ -260,10 +249,17 @@ class Folder:
         document = toml_document(path, raw)
         if kind == "run":
             read_run_file(path, raw)
-        for word in texts_of(document):
-            if word and len(word) < MAX_NAME and "\0" not in word and os.path.lexists(path.parent / word):
-                self._named(path, path.parent / word)
+        words = [word for word in texts_of(document) if word and len(word) < MAX_NAME and "\0" not in word]
+        self._check_named(path, [path.parent / word for word in words if os.path.lexists(path.parent / word)])
         write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
+
+    def _check_named(self, path: Path, files: list[Path]) -> None:
+        for named in files:
+            try:
+                self._checked(Path(os.path.normpath(named)))
+            except OutsideError as error:
+                words = f"{path.name} names {named.name[:80]}: {error.message}"
+                raise OutsideError(words, remedy=error.remedy) from None
 
     # --- what is in it ----------------------------------------------------------------------------
 
@@ -301,9 +297,8 @@ class Folder:
                 data = _data_file(path, document)
                 described.update(data)
                 entry = self._once([path, *data], self._run_entry, path, data)
-                mine = sorted(
-                    kept.get(self.name(results_of(path)), ()), key=lambda one: (one.version != 0, one.version)
-                )
+                mine = kept.get(self.name(results_of(path)), [])
+                mine.sort(key=lambda one: (one.version != 0, one.version))
                 state = "kept" if mine and entry.state == "ready" else entry.state
                 entries.append(replace(entry, kept=tuple(mine), state=state))
         for path in files:
@@ -319,25 +314,6 @@ class Folder:
             raise OutsideError(f"{name[:200]}: is not a record of this folder", remedy="choose a listed record")
         return entry
 
-    def kept(self, folder: Path) -> Kept | None:
-        """The kept calibration of a folder; None if it cannot be read."""
-        kept: Kept | None = self._once([folder / CALIBRATION], self._read_kept, folder)
-        return kept
-
-    def _read_kept(self, folder: Path) -> Kept | None:
-        try:
-            document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_Kept)
-            nominal = float(document.instrument["scale_factor_nominal"]["value"])
-            values = {one.name: one for one in document.coefficients}
-            K = values.get("scale_factor") or _replace_k1(values["k1"], nominal)
-            serial, created = (
-                str(document.instrument["serial"]),
-                str(document.provenance.get("created", ""))[:19],
-            )
-            return Kept(self.name(folder), serial, created, K.value, K.std, K.unit, nominal)
-        except (PigaError, msgspec.MsgspecError, KeyError, TypeError, ValueError, ZeroDivisionError):
-            return None
-
     def _run_entry(self, path: Path, data: list[Path]) -> Entry:
         name, serial, log = self.name(path), "", ""
         try:
@@ -351,6 +327,26 @@ class Folder:
         status = data[0].stat()
         return Entry(name, "ready", serial, log, status.st_size, status.st_mtime)
 
+    def kept(self, folder: Path) -> Kept | None:
+        """The kept calibration of a folder; None if it cannot be read."""
+        kept: Kept | None = self._once([folder / CALIBRATION], self._read_kept, folder)
+        return kept
+
+    def _read_kept(self, folder: Path) -> Kept | None:
+        try:
+            document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_KeptFile)
+            nominal = float(document.instrument["scale_factor_nominal"]["value"])
+            values = {one.name: one for one in document.coefficients}
+            if (
+                K := values.get("scale_factor")
+            ) is None:  # of a calibration that has the relative term k1 instead
+                k1 = values["k1"]
+                K = _Coefficient("", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
+            serial, made = str(document.instrument["serial"]), str(document.provenance.get("created", ""))
+            return Kept(self.name(folder), serial, made[:19], K.value, K.std, K.unit, nominal)
+        except (PigaError, msgspec.MsgspecError, KeyError, TypeError, ValueError, ZeroDivisionError):
+            return None
+
     def _once(self, paths: list[Path], read: Callable[..., Any], *arguments: Any) -> Any:
         """What was read from files, read again only if one of them has changed."""
         key, states = (read.__name__, *paths), [_state(path) for path in paths]
@@ -363,20 +359,13 @@ class Folder:
         plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
         kind = file_kind(Path(plain or "x"))
         if kind not in (*_LOG_SUFFIXES, ".toml"):
-            raise OutsideError(
-                f"{wanted[:200]!r}: files of this kind are not accepted",
-                remedy=f"use one of these kinds: {', '.join(_LOG_SUFFIXES)}",
-            )
+            words = f"{wanted[:200]!r}: files of this kind are not accepted"
+            raise OutsideError(words, remedy=f"use one of these kinds: {', '.join(_LOG_SUFFIXES)}")
         stem = plain[: -len(kind)].encode()[:_LONGEST_NAME].decode("utf-8", "ignore") or "log"
         path = self.root / f"{stem}{kind}"
         while os.path.lexists(path):
             path = self.root / f"{stem}-{secrets.token_hex(2)}{kind}"
         return path
-
-
-def _replace_k1(k1: _Coefficient, nominal: float) -> _Coefficient:
-    """K of a calibration that has the relative term k1 instead [rad/s/g]."""
-    return _Coefficient("scale_factor", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
 
 
 def results_of(run: Path) -> Path:
@@ -399,20 +388,18 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 def _is_regular(path: Path) -> bool:
-    try:
+    with suppress(OSError):
         return stat.S_ISREG(os.lstat(path).st_mode)
-    except OSError:
-        return False
+    return False
 
 
 def _toml_or_nothing(path: Path) -> dict[str, Any] | None:
     """The tables of a TOML file; None if it cannot be read."""
     if path.stat().st_size > _MOST_TOML:
         return {}
-    try:
+    with suppress(PigaError):
         return toml_document(path)
-    except PigaError:
-        return None
+    return None
 
 
 def _data_file(path: Path, document: dict[str, Any] | None) -> list[Path]:
@@ -421,3 +408,86 @@ def _data_file(path: Path, document: dict[str, Any] | None) -> list[Path]:
     name = table.get("file") if isinstance(table, dict) else None
     good = isinstance(name, str) and name and "\0" not in name and len(name) < MAX_NAME
     return [path.parent / str(name)] if good else []
+
+
+# --- what was changed -----------------------------------------------------------------------------
+
+
+class ChangedError(ArgumentError):
+    """A file is no longer what the page had seen."""
+
+    def __init__(self, name: str, lines: list[str]) -> None:
+        super().__init__(f"{name} was changed meanwhile, by another tab or program", remedy="see what changed")
+        self.lines = lines
+
+
+class History:
+    """Undo for one folder, and what a page saw of a file before it changed it.
+
+    Each change is its words and its steps: a path, and where its former content lies in ``.piga-ui/trash``. The list of changes
+    is that of this server.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._changes: deque[tuple[str, tuple[tuple[Path, Path | None], ...]]] = deque(maxlen=_MOST_STEPS)
+        self._texts: dict[str, str] = {}
+        self.lock = threading.RLock()
+
+    @property
+    def last(self) -> str:
+        """What Undo takes back, in words; "" if there is nothing."""
+        return self._changes[-1][0] if self._changes else ""
+
+    def note(self, words: str, *steps: tuple[Path, Path | None]) -> None:
+        """A change was made."""
+        self._changes.append((words, steps))
+
+    def put_away(self, path: Path) -> Path | None:
+        """Move a file or folder to the trash; None if there is none."""
+        path = self._folder.path(self._folder.name(path))
+        return path.rename(self._place_for(path)) if path.exists() else None
+
+    def _place_for(self, path: Path) -> Path:
+        return self._folder.state_room("trash") / f"{secrets.token_hex(6)}-{path.name[-80:]}"
+
+    def undo(self) -> str:
+        """Take the last change back, its steps in the reverse order; what it was, in words."""
+        with self.lock:
+            if not self._changes:
+                raise ArgumentError("there is nothing to undo", remedy="reload the page")
+            words, steps = self._changes.pop()
+            for path, former in reversed(steps):
+                if (
+                    former is None or not former.is_file()
+                ):  # a file is replaced at once: a page may ask for it at any time
+                    self.put_away(path)
+                if former is not None:
+                    former.replace(path)
+            return words
+
+    def seen(self, text: str) -> str:
+        """The mark of a text that a page shows."""
+        mark = hashlib.sha256(text.encode()).hexdigest()[:24]
+        self._texts.pop(mark, None)
+        self._texts[mark] = text
+        for old in list(self._texts)[:-_MOST_TEXTS]:
+            self._texts.pop(old, None)
+        return mark
+
+    def write(self, name: str, seen: str, text: str, words: str, kind: str = "run") -> None:
+        """Write a TOML file of the folder if it is what the page had seen. An empty ``seen`` is that of a new file."""
+        with self.lock:
+            path, former = self._folder.path(name), None
+            before = self._folder.text(name) if path.exists() else ""
+            if seen != (self.seen(before) if path.exists() else ""):
+                saw = self._texts.get(seen, "").splitlines()
+                lines = list(difflib.unified_diff(saw, before.splitlines(), lineterm="", n=0))[2:42]
+                raise ChangedError(name, [line for line in lines if line[:1] in "+-"])
+            if text.replace("\r\n", "\n") == before:
+                return
+            if path.exists():
+                former = self._place_for(path)
+                former.write_bytes(self._folder.read(path))
+            self._folder.write_toml(path, text, kind=kind, new=former is None)
+            self.note(words, (path, former))

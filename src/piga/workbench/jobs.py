@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal, cast
 
 from piga.errors import ArgumentError
 
@@ -32,8 +32,6 @@ MOST_KEPT = 200
 """Jobs that are remembered. The oldest that have ended are forgotten."""
 _PATIENCE, _LAST_PATIENCE = 2.0, 1.0
 """Time [s] that a stopped job has to end by itself, and when the server ends."""
-_MOST_DOCUMENT = 20_000_000
-"""Bytes of printed JSON that are read."""
 _MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
 
@@ -75,16 +73,40 @@ class Job:
         """Name of its folder, and of its page."""
         return self.place.name
 
+    @property
+    def state(self) -> Literal["running", "done", "failed", "stopped"]:
+        """What became of it."""
+        code = self.child.poll()
+        if code is None:
+            return "running"
+        if math.isnan(self.ended):
+            self.ended = time.time()
+            self.input.close()
+        return "done" if code == 0 else "stopped" if self.was_stopped else "failed"
 
-@dataclass(frozen=True)
-class Status:
-    """What became of a job: its state, exit code, seconds, progress (0 to 1, or None) and what it does now."""
+    @property
+    def seconds(self) -> float:
+        """Time that it runs or ran [s]."""
+        return (time.time() if self.state == "running" else self.ended) - self.started
 
-    state: Literal["running", "done", "failed", "stopped"]
-    code: int | None
-    seconds: float
-    share: float | None = None
-    doing: str = ""
+    @property
+    def progress(self) -> dict[str, Any]:
+        """What it does now (``what``), and which ``share`` of it is done, if known."""
+        with suppress(OSError, ValueError):
+            return dict(json.loads((self.place / "progress").read_text(encoding="utf-8")))
+        return {"what": "", "share": None}
+
+    @property
+    def input(self) -> IO[bytes]:
+        """Its standard input."""
+        return cast("IO[bytes]", self.child.stdin)
+
+    def text(self, name: Literal["out", "err"]) -> str:
+        """What it printed on standard output or standard error (the last part of a long text)."""
+        with suppress(OSError), (self.place / name).open("rb") as stream:
+            stream.seek(max(stream.seek(0, os.SEEK_END) - _MOST_TEXT, 0))
+            return stream.read().decode("utf-8", "replace")
+        return ""
 
 
 class Jobs:
@@ -111,29 +133,18 @@ class Jobs:
         return Job(child, place)
 
     def start(
-        self,
-        command: Sequence[str],
-        title: str,
-        subject: str,
-        result: str = "",
-        reads: Sequence[Path] | None = None,
+        self, command: Sequence[str], title: str, subject: str, result: str = "", reads: Sequence[Path] = ()
     ) -> Job:
         """Start ``piga`` with these arguments in the opened folder.
 
-        If a job already does the same, no new one is started, and the running one is returned. ``reads`` are the
-        files that the command reads: if they are given, a job that began before they changed does something else, and
-        one with another place for its results does the same.
+        If the same command makes this result already, that job is returned. ``reads`` are the files that it reads: a job
+        that began before one of them changed does something else.
         """
         with self._lock:  # many requests may ask at the same time
             running = self.running()
-            changed = -math.inf if reads is None else _last_change(reads)
-            asked = [word for word in command if word != result]
-            here = [job for job in running if result and job.result == result]
-            for job in here if reads is None else running:
-                words = [word for word in job.command if word != job.result]
-                if result and job.started > changed and (job.title, words) == (title, asked):
+            for job in (job for job in running if result and job.result == result):
+                if (job.title, job.command) == (title, tuple(command)) and job.started > _last_change(reads):
                     return job
-            if here:
                 raise BusyError(
                     f"{result} is just being made from another input or with other options",
                     remedy="wait until that job has ended, or stop it",
@@ -144,9 +155,8 @@ class Jobs:
             self._spare = self._waiting()
             job.command, job.title, job.subject, job.result = tuple(command), title, subject, result
             job.started = time.time()
-            assert job.child.stdin is not None  # noqa: S101  a pipe
-            job.child.stdin.write(json.dumps(command).encode() + b"\n")
-            job.child.stdin.flush()
+            job.input.write(json.dumps(command).encode() + b"\n")
+            job.input.flush()
             self._jobs[job.key] = job
             for old in self.all()[MOST_KEPT:]:
                 self.forget(old)
@@ -158,7 +168,7 @@ class Jobs:
 
     def running(self) -> list[Job]:
         """The jobs that run."""
-        return [job for job in self.all() if self.status(job).state == "running"]
+        return [job for job in self.all() if job.state == "running"]
 
     def get(self, key: str) -> Job | None:
         """The job with this key, or None."""
@@ -168,74 +178,33 @@ class Jobs:
         """The newest job for a record that makes this result, or None."""
         return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
 
-    def status(self, job: Job) -> Status:
-        """What became of the job."""
-        code = job.child.poll()
-        if code is None:
-            progress: Any = None
-            with suppress(OSError, ValueError):
-                progress = json.loads((job.place / "progress").read_text(encoding="utf-8"))
-            share, doing = (progress["share"], progress["what"]) if progress else (None, "")
-            return Status("running", None, time.time() - job.started, share, doing)
-        if math.isnan(job.ended):
-            job.ended = time.time()
-            _close(job.child)
-        state: Any = "done" if code == 0 else "stopped" if job.was_stopped else "failed"
-        return Status(state, code, job.ended - job.started)
-
-    def text(self, job: Job, name: Literal["out", "err"]) -> str:
-        """What the job printed on standard output or standard error (the last part of a long text)."""
-        with suppress(OSError), (job.place / name).open("rb") as stream:
-            stream.seek(max(stream.seek(0, os.SEEK_END) - _MOST_TEXT, 0))
-            return stream.read().decode("utf-8", "replace")
-        return ""
-
-    def document(self, job: Job) -> Any:
-        """What the job printed as JSON."""
-        if (job.place / "out").stat().st_size > _MOST_DOCUMENT:
-            raise ValueError("too much was printed")
-        return json.loads((job.place / "out").read_text(encoding="utf-8"))
-
     def stop(self, *jobs: Job, patience: float = _PATIENCE) -> None:
         """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
         for job in jobs:
             job.was_stopped |= job.child.poll() is None
-            _close(job.child)
+            job.input.close()
         limit = time.monotonic() + patience
         for job in jobs:
             with suppress(subprocess.TimeoutExpired):
                 job.child.wait(max(limit - time.monotonic(), 0.0))
-            _kill(job.child)
+            if job.child.poll() is None:
+                with suppress(OSError):
+                    os.killpg(job.child.pid, signal.SIGKILL) if hasattr(os, "killpg") else job.child.kill()
+                job.child.wait()
 
     def stop_all(self) -> None:
         """End all running jobs and remove what they printed (when the server ends)."""
-        _close(self._spare.child)
-        self.stop(*self.all(), patience=_LAST_PATIENCE)
-        _kill(self._spare.child)
+        self.stop(self._spare, *self.all(), patience=_LAST_PATIENCE)
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, job: Job) -> None:
         """Remove a job that has ended."""
-        if self.status(job).state != "running":
+        if job.state != "running":
             self._jobs.pop(job.key, None)
             shutil.rmtree(job.place, ignore_errors=True)
-
-
-def _close(child: subprocess.Popen[bytes]) -> None:
-    """End the standard input of a process."""
-    assert child.stdin is not None  # noqa: S101  a pipe
-    child.stdin.close()
-
-
-def _kill(child: subprocess.Popen[bytes]) -> None:
-    """End a process that did not end by itself, and what it started."""
-    if child.poll() is None:
-        with suppress(OSError):
-            os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
-        child.wait()
 
 
 def _last_change(paths: Sequence[Path]) -> float:
     """Time of the last change of files [s since 1970]; a copy that keeps its time counts from when it came."""
     states = [path.stat() for path in paths if path.is_file()]
-    return max((max(state.st_mtime, state.st_ctime) for state in states), default=math.inf)
+    return max((max(state.st_mtime, state.st_ctime) for state in states), default=-math.inf)

@@ -15,12 +15,10 @@ import hashlib
 import os
 import secrets
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
@@ -31,9 +29,6 @@ from piga.records.limits import read_whole
 
 SESSION_AGE = 12 * 3600
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
-_MOST_STORE = 1 << 16
-"""Largest file of sessions [bytes]."""
-_SAFE_METHODS = ("GET", "HEAD")
 LOOPBACK = "127.0.0.1"
 """Address of this machine that no other one can reach."""
 REPORT_POLICY = (
@@ -56,10 +51,10 @@ _HEADERS = {
 
 @dataclass
 class Door:
-    """The one-time token and the sessions of one server.
+    """The one-time token and the session of one server.
 
-    Sessions are kept as digests in the user's cache, by port and folder: a server that is started again at the same
-    address knows its browser again.
+    The session is kept in the user's cache, by port and folder: a server that is started again at the same address knows
+    its browser again.
 
     Attributes
     ----------
@@ -72,18 +67,18 @@ class Door:
     port: int
     folder: str = ""
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    clock: Callable[[], float] = time.time
-    _sessions: dict[str, float] = field(default_factory=dict)
+    _session: str = ""
+    _began: float = 0.0
 
     def __post_init__(self) -> None:
-        with suppress(PigaError, OSError, msgspec.MsgspecError):
-            raw = read_whole(self._store, _MOST_STORE, "another port")
-            self._sessions = msgspec.json.decode(raw, type=dict[str, float])
+        with suppress(PigaError, OSError, UnicodeDecodeError):
+            self._began = self._store.stat().st_mtime
+            self._session = read_whole(self._store, 100, "another port").decode("ascii")
 
     @property
     def _store(self) -> Path:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
-        return cache / f"ui-{self.port}-{_digest(self.folder)[:16]}.json"
+        return cache / f"ui-{self.port}-{hashlib.sha256(self.folder.encode()).hexdigest()[:16]}"
 
     @property
     def cookie(self) -> str:
@@ -98,8 +93,7 @@ class Door:
     def knows_host(self, host: str) -> bool:
         """True if ``host`` (of the request) is a loopback name with this server's port."""
         name, _, port = host.lower().rpartition(":")
-        names = (LOOPBACK, "localhost", "[::1]")
-        return (name in names and port == str(self.port)) or (self.port == 80 and host.lower() in names)
+        return name in (LOOPBACK, "localhost", "[::1]") and port == str(self.port)
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""
@@ -109,24 +103,18 @@ class Door:
         """Exchange the token for a session. None if the token is wrong or was used before."""
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
-        self.token, session = "", secrets.token_urlsafe(24)
-        self._sessions = {mark: began for mark, began in self._sessions.items() if self._is_open(began)}
-        self._sessions[_digest(session)] = self.clock()
-        with suppress(OSError):  # without a cache folder a browser needs a new address after the next start
-            self._store.parent.mkdir(parents=True, exist_ok=True)
-            write_private(self._store, msgspec.json.encode(self._sessions))
-        return session
+        self.token = ""
+        if not self.has_session(self._session):
+            self._session, self._began = secrets.token_urlsafe(24), time.time()
+            with suppress(OSError):  # without a cache folder a browser needs a new address after the next start
+                self._store.parent.mkdir(parents=True, exist_ok=True)
+                write_private(self._store, self._session.encode())
+        return self._session
 
     def has_session(self, session: str) -> bool:
         """True if the session is open and not too old."""
-        return self._is_open(self._sessions.get(_digest(session)))
-
-    def _is_open(self, began: float | None) -> bool:
-        return began is not None and 0.0 <= self.clock() - began < SESSION_AGE
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
+        same = bool(session) and secrets.compare_digest(session.encode(), self._session.encode())
+        return same and 0.0 <= time.time() - self._began < SESSION_AGE
 
 
 def write_private(path: Path, raw: bytes) -> None:
@@ -137,7 +125,7 @@ def write_private(path: Path, raw: bytes) -> None:
 
 
 class Guard:
-    """ASGI middleware that lets only the right browser through, over HTTP and WebSocket. See the module's docstring."""
+    """ASGI middleware that lets only the right browser through, over HTTP alone. See the module's docstring."""
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app, self._door = app, door
@@ -154,16 +142,18 @@ class Guard:
                     headers.setdefault(name, value)
             await send(message)
 
-        refusal = None if scope["type"] == "lifespan" else self._refusal(HTTPConnection(scope))
-        if refusal is not None and scope["type"] == "websocket":
+        if scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
+        elif scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
         else:
-            await (refusal or self._app)(scope, receive, sent)
+            await (self._refusal(HTTPConnection(scope)) or self._app)(scope, receive, sent)
 
     def _refusal(self, asked: HTTPConnection) -> Response | None:
         """The answer to a request that may not pass; None if it may."""
         door, headers = self._door, asked.headers
-        path, is_safe = asked.scope["path"], asked.scope.get("method") in _SAFE_METHODS
+        path, method = asked.scope["path"], asked.scope["method"]
+        is_safe = method in ("GET", "HEAD")
         is_twofold = any(len(headers.getlist(name)) > 1 for name in ("host", "origin", "cookie"))
         if is_twofold or not door.knows_host(headers.get("host", "")):
             return PlainTextResponse("This server answers only as 127.0.0.1 or localhost.", 421)
@@ -174,18 +164,16 @@ class Guard:
             is_ours = is_safe and (headers.get("sec-fetch-site", "none") in ("none", "same-origin") or enters)
         if not is_ours:
             return PlainTextResponse("This request comes from another site.", 403)
-        if path == "/healthz" and is_safe:
-            return None
         has_session = door.has_session(asked.cookies.get(door.cookie, ""))
         token = asked.query_params.get("token")
-        if path == "/" and token is not None and asked.scope.get("method") == "GET":
+        if path == "/" and token is not None and method == "GET":
             session = door.open_session(token)
             if session is not None or has_session:
                 answer = RedirectResponse("/", 303)
                 if session is not None:
                     answer.set_cookie(door.cookie, session, SESSION_AGE, httponly=True, samesite="strict")
                 return answer
-        if has_session:
+        if has_session or (path == "/healthz" and is_safe):
             return None
         words = "Open the address that piga ui printed. It is good for one browser. Start piga ui again for a new one."
         return PlainTextResponse(words, 403)

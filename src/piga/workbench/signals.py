@@ -1,26 +1,23 @@
 """Pictures of a record: least and largest values per pixel, for any zoom.
 
 A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with the
-extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. No block crosses the
-begin of a stretch, so a gap is drawn as a gap. Of a long record a thinned copy is written, too, for a first answer.
+extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. A gap of the record is
+a gap of the line. Of a long record a thinned copy is written, too, for a first answer.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.formats.parquet import data_table
@@ -43,12 +40,11 @@ LONG, THINNED = 1_000_000, 50_000
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
 CHUNK = 1 << 20
-FORM = 6
+FORM = 7
 """Version of the cache's files."""
 
 
-@dataclass(frozen=True)
-class Signal:
+class Signal(msgspec.Struct, frozen=True):
     """One column of a record: key, title, shown unit, factor from SI to it, picture it belongs to, offset of the unit."""
 
     key: str
@@ -59,8 +55,7 @@ class Signal:
     offset: float = 0.0
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(msgspec.Struct, frozen=True):
     """A finding of the check, and the time [s] of its first row; None if it has no row."""
 
     kind: str
@@ -69,8 +64,7 @@ class Finding:
     time: float | None
 
 
-@dataclass(frozen=True)
-class Span:
+class Span(msgspec.Struct, frozen=True):
     """A named span of time [s]: a position, or rows that are left out; ``rows``: first and last row of the file."""
 
     name: str
@@ -79,8 +73,7 @@ class Span:
     rows: tuple[int, int]
 
 
-@dataclass(frozen=True)
-class Outline:
+class Outline(msgspec.Struct, frozen=True):
     """What a page needs to know before it draws.
 
     ``moves`` are rows at the ends of positions in which the stand still moves. ``phase_kept`` is False if the counter may
@@ -100,13 +93,24 @@ class Outline:
     thinned: int = 1
 
 
+# --- the cache ------------------------------------------------------------------------------------
+
+
 def cache_key(paths: list[Path]) -> str:
     """Name of the cache of a record. It changes if any file of the record changes."""
     states = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths if path.is_file()]
     return hashlib.sha256(json.dumps([FORM, states]).encode()).hexdigest()[:24]
 
 
-def write_envelopes(run: Run, run_file: RunFile, folder: Path, began: float = math.inf) -> Outline:
+def read_outline(folder: Path) -> Outline | None:
+    """The outline of a complete cache; None if there is none."""
+    try:
+        return msgspec.json.decode((folder / "outline.json").read_bytes(), type=Outline)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
+def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
     """Write the columns and envelopes of a record.
 
     Parameters
@@ -114,37 +118,21 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path, began: float = ma
     run, run_file:
         The record as read, and its run file.
     folder:
-        New folder, ``RECORD-KEY``. It appears when it is complete; older ones of the same record are removed.
-    began:
-        When the reading began [s since 1970]. What another reading completed since is of a newer record, and stays.
+        New folder, ``RECORD-KEY``. It appears when it is complete; others of the same record are removed.
     """
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
         outline = _write_all(run, run_file, part)
-        if read_outline(folder) is None:  # else another reading has completed it, and pages use it
-            shutil.rmtree(folder, ignore_errors=True)
-            part.rename(folder)
+        for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
+            shutil.rmtree(place, ignore_errors=True)
+        part.rename(folder)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
-        if place != folder and _completed(place) < began:
-            shutil.rmtree(place, ignore_errors=True)
     return outline
 
 
-def _completed(folder: Path) -> float:
-    """When a cache was completed [s since 1970]; long ago if it is not complete."""
-    try:
-        return (folder / "outline.json").stat().st_mtime
-    except OSError:
-        return -math.inf
-
-
 def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
-    begins = _breaks(run)
-    blocks = _blocks(run.size, begins)
-    np.save(folder / "breaks.npy", begins[1:])
-    np.save(folder / "blocks.npy", blocks)
+    np.save(folder / "breaks.npy", _breaks(run))
     np.save(folder / "row.npy", run.row)
     t = _write_time(run, folder / "t.npy")
     temperature = run_file.data.temperature
@@ -156,129 +144,24 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
             _write_difference(run, t, column)
         else:
             column[:] = values
-    np.save(folder / "extremes.npy", _extremes(columns, columns, blocks))
+    np.save(folder / "extremes.npy", _extremes(columns, columns, BLOCK))
     thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
     outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals), thinned)
-    (folder / "outline.json").write_text(json.dumps(asdict(outline)), encoding="utf-8")
+    (folder / "outline.json").write_bytes(msgspec.json.encode(outline))
     return outline
 
 
-def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
-    """Least and largest value of each block that begins at ``starts``, by column."""
+def _breaks(run: Run) -> Array:
+    """First samples of the stretches that follow the longest breaks."""
+    rows = np.flatnonzero(run.begins[1:]) + 1
+    size = np.abs(run.t[rows] - run.t[rows - 1])
+    return np.sort(rows[np.argsort(size)[-_MOST_STRETCHES:]])
+
+
+def _extremes(least: Array, largest: Array, size: int) -> Array:
+    """Least and largest value of each so many columns."""
+    starts = np.arange(0, least.shape[1], size)
     return np.stack((np.fmin.reduceat(least, starts, axis=1), np.fmax.reduceat(largest, starts, axis=1)))
-
-
-def _write_difference(run: Run, t: Array, column: Array) -> None:
-    """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
-    carried = 0.0
-    for begin in range(0, run.size, CHUNK):
-        part, with_last = slice(begin, begin + CHUNK), slice(max(begin - 1, 0), begin + CHUNK)
-        force = run.f[with_last, 0]
-        step = np.diff(run.output[with_last]) - 0.5 * run.scale_factor * (force[1:] + force[:-1]) * np.diff(
-            t[with_last]
-        )
-        step = step if begin else np.concatenate(([0.0], step))
-        step[run.begins[part]] = 0.0
-        total = carried + np.cumsum(step)
-        first = np.flatnonzero(run.begins[part])
-        if first.size:
-            total[first[0] :] -= np.repeat(total[first], np.diff(np.append(first, total.size)))
-        column[part] = total
-        carried = float(total[-1])
-
-
-def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
-    """A thinned copy of a long record, in SI, with a run file of its own: for a first answer."""
-    from pyarrow.parquet import write_table
-
-    every = max(run.size // THINNED, 1)
-    write_table(arrow_table(run.table_columns(slice(None, None, every)), {}), folder / "thinned.parquet")
-    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} {run.unit}/g"}
-    instrument |= {"kind": "direct"} if run.direct else {}
-    model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
-    text = toml_text({"instrument": instrument, "model": model}) + data_table(run, "thinned.parquet")
-    (folder / "thinned.toml").write_text(text, encoding="utf-8")
-    return every
-
-
-def read_outline(folder: Path) -> Outline | None:
-    """The outline of a complete cache; None if there is none."""
-    try:
-        return msgspec.convert(json.loads((folder / "outline.json").read_text(encoding="utf-8")), Outline)
-    except (OSError, ValueError):
-        return None
-
-
-def picture(folder: Path, keys: Sequence[str], first: float, last: float, width: int) -> Array:
-    """Least and largest values of signals in a span of time.
-
-    Parameters
-    ----------
-    folder:
-        The cache of the record.
-    keys:
-        The signals' keys.
-    first, last:
-        The span [s].
-    width:
-        Width of the picture [pixels]. About one block per pixel is returned.
-
-    Returns
-    -------
-    Array
-        Rows of time, then least and largest value of each signal in its shown unit. A row of NaN separates stretches.
-    """
-    outline = read_outline(folder)
-    known = [signal.key for signal in outline.signals] if outline is not None else []
-    if outline is None or not set(keys) <= set(known):
-        raise ArgumentError(f"{keys!r}: there is no such signal", remedy="choose a signal of the page")
-    if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
-        raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
-    t = np.load(folder / "t.npy", mmap_mode="r")
-    low = max(int(np.searchsorted(t, first)) - 1, 0)
-    high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
-    shown = [known.index(key) for key in keys]
-    if high - low <= DRAWN:
-        at = np.arange(low, high)
-        least = largest = np.load(folder / "columns.npy", mmap_mode="r")[shown, low:high]
-    else:
-        blocks = np.load(folder / "blocks.npy", mmap_mode="r")
-        part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
-        at = np.asarray(blocks[part])
-        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, part]
-    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
-    breaks = breaks[np.searchsorted(breaks, at[0], side="right") : np.searchsorted(breaks, high)]
-    new = np.searchsorted(at, breaks)
-    starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), new).astype(np.int64)
-    signals = [outline.signals[index] for index in shown]
-    columns = [t[at[starts]]]
-    for signal, low_high in zip(signals, _extremes(least, largest, starts).swapaxes(0, 1), strict=True):
-        columns += list(low_high * signal.factor + signal.offset)
-    rows = np.column_stack(columns)
-    at_gap = np.searchsorted(starts, new)
-    gaps = np.full((new.size, rows.shape[1]), np.nan)
-    gaps[:, 0] = 0.5 * (rows[at_gap - 1, 0] + rows[at_gap, 0])
-    return np.insert(rows, at_gap, gaps, axis=0)
-
-
-def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
-    """First and last row of the data file whose samples lie in a span of time [s]."""
-    t = np.load(folder / "t.npy", mmap_mode="r")
-    low, high = int(np.searchsorted(t, first)), int(np.searchsorted(t, last, side="right"))
-    if not low < high:
-        raise ArgumentError("no sample lies in this span", remedy="mark a wider span")
-    rows = np.load(folder / "row.npy", mmap_mode="r")[low:high]
-    return int(rows.min()), int(rows.max())
-
-
-def _breaks(run: Run) -> NDArray[np.int64]:
-    """First samples of the stretches that follow the longest breaks, and sample 0."""
-    rows = np.flatnonzero(run.begins)
-    rows = rows[rows > 0]
-    if rows.size > _MOST_STRETCHES:
-        size = np.abs(run.t[rows] - run.t[rows - 1])
-        rows = np.sort(rows[np.argsort(size)[-_MOST_STRETCHES:]])
-    return np.concatenate(([0], rows)).astype(np.int64)
 
 
 def _write_time(run: Run, path: Path) -> Array:
@@ -295,37 +178,57 @@ def _write_time(run: Run, path: Path) -> Array:
     return t
 
 
-def _blocks(size: int, breaks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """First samples of the blocks of the envelope."""
-    ends = np.append(breaks[1:], size)
-    return np.concatenate([np.arange(*span, BLOCK) for span in zip(breaks, ends, strict=True)])
+def _write_difference(run: Run, t: Array, column: Array) -> None:
+    """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
+    carried = 0.0
+    for begin in range(0, run.size, CHUNK):
+        part, before = slice(begin, begin + CHUNK), slice(max(begin - 1, 0), begin + CHUNK)
+        force, step = run.f[before, 0], np.diff(t[before])
+        step = np.diff(run.output[before]) - 0.5 * run.scale_factor * (force[1:] + force[:-1]) * step
+        total = carried + np.cumsum(step if begin else np.append(0.0, step))
+        last = np.maximum.accumulate(np.where(run.begins[part], np.arange(total.size), -1))
+        column[part] = total - np.where(last < 0, 0.0, total[last])
+        carried = float(column[part][-1])
+
+
+def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
+    """A thinned copy of a long record, in SI, with a run file of its own: for a first answer."""
+    from pyarrow.parquet import write_table
+
+    every = max(run.size // THINNED, 1)
+    write_table(arrow_table(run.table_columns(slice(None, None, every)), {}), folder / "thinned.parquet")
+    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} {run.unit}/g"}
+    instrument |= {"kind": "direct"} if run.direct else {}
+    model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
+    text = toml_text({"instrument": instrument, "model": model}) + data_table(run, "thinned.parquet")
+    (folder / "thinned.toml").write_text(text, encoding="utf-8")
+    return every
 
 
 def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
-    turn = 2.0 * np.pi
-    signals: list[tuple[Signal, Any]] = []
+    degree = 180.0 / np.pi
     if run.direct:
-        signals.append((Signal("output", "output", run.output_unit, 1.0, "output"), run.output))
+        output = Signal("output", "output", run.output_unit, 1.0, "output")
     elif run.kind == "angle":
-        signals.append((Signal("output", "output angle", "rev", 1.0 / turn, "output"), run.output))
+        output = Signal("output", "output angle", "rev", 0.5 / np.pi, "output")
     else:
-        signals.append((Signal("output", "output rate", "deg/s", 360.0 / turn, "output"), run.output))
+        output = Signal("output", "output rate", "deg/s", degree, "output")
+    signals: list[tuple[Signal, Any]] = [(output, run.output)]
     if run.kind == "angle":
-        shown = ("count", 1.0) if run.direct else ("deg", 360.0 / turn)
+        shown = ("count", 1.0) if run.direct else ("deg", degree)
         signals.append((Signal("difference", f"{run.quantity} minus K ∫aₓdt", *shown, "difference"), None))
     vectors = [("f", "a_", "g", 1.0 / G0, "specific force", run.f)]
     if run.base_rate is not None:
-        vectors.append(("rate", "Ω_", "deg/s", 360.0 / turn, "base rate", run.base_rate))
+        vectors.append(("rate", "Ω_", "deg/s", degree, "base rate", run.base_rate))
     for key, title, unit, factor, group, values in vectors:
         for index, axis in enumerate("XYZ"):
             signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, group), values[:, index]))
     if run.temperature is not None:
-        factor, unit = 1.0 / parse_unit(temperature_unit).factor, temperature_unit.replace("deg", "°")
+        factor = 1.0 / parse_unit(temperature_unit).factor
+        shown = (temperature_unit.replace("deg", "°"), factor)
         offset = -offset_to_si(temperature_unit) * factor
-        signals.append(
-            (Signal("temperature", "temperature", unit, factor, "temperature", offset), run.temperature)
-        )
+        signals.append((Signal("temperature", "temperature", *shown, "temperature", offset), run.temperature))
     return signals
 
 
@@ -338,22 +241,24 @@ def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...],
 
     edges = run.segment_edges().tolist()
     pieces = [(run.labels[int(run.segment_index[first])], first, last) for first, last in pairwise(edges)]
-    left_out = (
-        Span(one.reason, at(one.rows[0]), at(one.rows[1] + 1), one.rows) for one in run_file.data.leave_out
-    )
-    findings = (
-        Finding(event.kind, event.count, event.detail, None if event.first_row is None else at(event.first_row))
-        for event in run.quality.events
-        if event.kind != "left-out"  # those are drawn as spans
-    )
-    kept = len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment"
-    rate = 1.0 / run.median_step if run.median_step else 0.0
-    positions = tuple(span(*piece) for piece in pieces)
-    moves = tuple(span(piece[0], *ends) for piece in pieces for ends in _moves(run, *piece[1:]))
+    left_out = run_file.data.leave_out
+    findings = [event for event in run.quality.events if event.kind != "left-out"]  # those are drawn as spans
     return Outline(
-        signals, float(t[-1]), run.size, run.quality.rows, rate, positions, tuple(left_out), moves, tuple(findings), kept,
-        thinned,
-    )  # fmt: skip
+        signals=signals,
+        duration=float(t[-1]),
+        samples=run.size,
+        rows=run.quality.rows,
+        rate=1.0 / run.median_step if run.median_step else 0.0,
+        positions=tuple(span(*piece) for piece in pieces),
+        left_out=tuple(Span(one.reason, at(one.rows[0]), at(one.rows[1] + 1), one.rows) for one in left_out),
+        moves=tuple(span(piece[0], *ends) for piece in pieces for ends in _moves(run, *piece[1:])),
+        findings=tuple(
+            Finding(one.kind, one.count, one.detail, None if one.first_row is None else at(one.first_row))
+            for one in findings
+        ),
+        phase_kept=len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment",
+        thinned=thinned,
+    )
 
 
 def _moves(run: Run, first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -367,3 +272,65 @@ def _moves(run: Run, first: int, last: int) -> Iterator[tuple[int, int]]:
         still = first + np.flatnonzero(~far)
         ends = ((first, int(still[0])), (int(still[-1]) + 1, last))
         yield from (one for one in ends if one[0] < one[1])
+
+
+# --- a picture ------------------------------------------------------------------------------------
+
+
+def picture(folder: Path, keys: Sequence[str], first: float, last: float, width: int) -> Array:
+    """Least and largest values of signals in a span of time.
+
+    Parameters
+    ----------
+    folder:
+        The cache of the record.
+    keys:
+        The signals' keys.
+    first, last:
+        The span [s].
+    width:
+        Width of the picture [pixels]. About two rows per pixel are returned.
+
+    Returns
+    -------
+    Array
+        Rows of time, then least and largest value of each signal in its shown unit. A row of NaN separates stretches.
+    """
+    outline = read_outline(folder)
+    signals = {} if outline is None else {one.key: (at, one) for at, one in enumerate(outline.signals)}
+    if not set(keys) <= set(signals):
+        raise ArgumentError(f"{keys!r}: there is no such signal", remedy="choose a signal of the page")
+    if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
+        raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
+    t = np.load(folder / "t.npy", mmap_mode="r")
+    low = max(int(np.searchsorted(t, first)) - 1, 0)
+    high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
+    shown = [signals[key][0] for key in keys]
+    if high - low <= DRAWN:
+        size = 1
+        least = largest = np.load(folder / "columns.npy", mmap_mode="r")[shown, low:high]
+    else:
+        size, low = BLOCK, low // BLOCK * BLOCK
+        blocks = slice(low // BLOCK, -(-high // BLOCK))
+        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, blocks]
+    every = max(least.shape[1] // (2 * width), 1)
+    starts = np.arange(low, high, every * size)
+    columns = [t[starts]]
+    for key, ends in zip(keys, _extremes(least, largest, every).swapaxes(0, 1), strict=True):
+        columns += list(ends * signals[key][1].factor + signals[key][1].offset)
+    rows = np.column_stack(columns)
+    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
+    after = np.unique(np.searchsorted(starts, breaks[(breaks > low) & (breaks <= starts[-1])]))
+    gaps = np.full((after.size, rows.shape[1]), np.nan)
+    gaps[:, 0] = 0.5 * (rows[after - 1, 0] + rows[after, 0])
+    return np.insert(rows, after, gaps, axis=0)
+
+
+def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
+    """First and last row of the data file whose samples lie in a span of time [s]."""
+    t = np.load(folder / "t.npy", mmap_mode="r")
+    low, high = int(np.searchsorted(t, first)), int(np.searchsorted(t, last, side="right"))
+    if not low < high:
+        raise ArgumentError("no sample lies in this span", remedy="mark a wider span")
+    rows = np.load(folder / "row.npy", mmap_mode="r")[low:high]
+    return int(rows.min()), int(rows.max())

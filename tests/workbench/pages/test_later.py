@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from piga.workbench.folder import Folder
-from piga.workbench.history import History
+from piga.workbench.folder import Folder, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
 from piga.workbench.pages.later import _items, _own, _pem_files

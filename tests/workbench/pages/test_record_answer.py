@@ -11,8 +11,7 @@ import pytest
 import piga
 from piga.records.run_file import read_run_file
 from piga.workbench import signals
-from piga.workbench.folder import Folder
-from piga.workbench.history import History
+from piga.workbench.folder import Folder, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
 from piga.workbench.pages.record import _answer, _cache_of
@@ -37,7 +36,7 @@ def test_the_thinned_copy_is_answered_first_and_alone(tmp_path: Path, monkeypatc
         return _answer(bench, NAME, TERMS, outline)
 
     def ended(job: Any) -> bool:
-        return jobs.status(job).state != "running"
+        return job.state != "running"
 
     try:
         first, job = asked()

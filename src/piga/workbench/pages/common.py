@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,8 +22,7 @@ from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
 from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
-from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.history import ChangedError, History
+from piga.workbench.folder import ChangedError, Folder, History, OutsideError
 from piga.workbench.jobs import BusyError, Jobs
 from piga.workbench.security import REPORT_POLICY, Door
 
@@ -61,15 +60,6 @@ def bench_of(request: Request) -> Bench:
 # --- pages ----------------------------------------------------------------------------------------
 
 
-def _in_bytes(size: float) -> str:
-    """A size in words."""
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000.0:
-            return f"{size:.3g} {unit}"
-        size /= 1000.0
-    return f"{size:.3g} GB"
-
-
 def _moment(seconds: float) -> str:
     """A time in the zone of this machine."""
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
@@ -84,16 +74,12 @@ def _environment() -> Any:
         loader=jinja2.PackageLoader("piga.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    filters = {
+    made.filters |= {
         "unit": pretty_unit,
         "count": count,
         "number": lambda value, digits=4: significant(value, digits),
     }
-    made.filters |= filters | {
-        "moment": _moment,
-        "path": lambda name: quote(name, safe="/"),
-        "sentence": sentence,
-    }
+    made.filters |= {"moment": _moment, "path": lambda name: quote(name, safe="/"), "sentence": sentence}
     made.globals |= {"rounded": rounded, "version": __version__}
     return made
 
@@ -120,6 +106,22 @@ def redirect(request: Request, to: str) -> Response:
     return Response(headers={"hx-redirect": to}) if is_part(request) else RedirectResponse(to, status_code=303)
 
 
+def start(
+    request: Request,
+    command: Sequence[str],
+    title: str,
+    subject: str,
+    result: str = "",
+    reads: Sequence[Path] = (),
+) -> Response:
+    """Start a job and go to its page."""
+    bench = bench_of(request)
+    if result:
+        bench.folder.path(result)  # nothing is written through a link
+    job = bench.jobs.start(command, title, subject, result, reads)
+    return redirect(request, f"/jobs/{job.key}")
+
+
 def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
     """A result file: a page in a frame without any rights, everything else to save."""
     raw = bench.folder.read(path)
@@ -135,7 +137,10 @@ def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
 
 
 def error_page(request: Request, error: Exception) -> Response:
-    """The page of an error: what is wrong, and the remedy."""
+    """The page of an error: what is wrong, and the remedy. What a page typed is in the browser's Back."""
+    if isinstance(error, ChangedError):
+        again = request.headers.get("referer", "/")
+        return render(request, "changed.html.jinja", 409, error=error, again=again)
     status = next((code for kind, code in _STATUSES.items() if isinstance(error, kind)), 422)
     text, _, remedy = str(error).partition("\n  remedy: ")
     if isinstance(error, HTTPException):
@@ -147,17 +152,6 @@ def error_page(request: Request, error: Exception) -> Response:
         status, text = 500, "This is an error of the bench. The terminal of piga ui shows more."
     part = "message.html.jinja" if is_part(request) else "error.html.jinja"
     return render(request, part, status, text=text, remedy=remedy)
-
-
-def changed_page(request: Request, error: Exception) -> Response:
-    """A file was changed meanwhile: what changed. The page is reloaded; what was typed is in the browser's Back."""
-    assert isinstance(error, ChangedError)  # noqa: S101  its handler
-    return render(request, "changed.html.jinja", 409, error=error, again=request.headers.get("referer", "/"))
-
-
-def gone_page(_request: Request, _error: Exception) -> Response:
-    """The answer to a request that ended before it was whole; nobody reads it."""
-    return Response(status_code=400)
 
 
 def in_line(error: PigaError) -> str:
@@ -179,7 +173,7 @@ def posted(work: Callable[[Request, Sent], Response]) -> Callable[[Request], Awa
         async for part in request.stream():
             body += part
             if len(body) > _MOST_FORM:
-                raise ArgumentError("the form is too large", remedy=f"send at most {_in_bytes(_MOST_FORM)}")
+                raise ArgumentError("the form is too large", remedy=f"send at most {_MOST_FORM} bytes")
         try:
             sent = parse_qs(
                 body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=_MOST_FIELDS,

@@ -23,8 +23,7 @@ from piga.instrument import (
 )
 from piga.reports.render.numbers import significant
 from piga.units import G0
-from piga.workbench.pages.common import is_part, render
-from piga.workbench.pages.later import start
+from piga.workbench.pages.common import is_part, render, start
 
 _POINTS = 601
 _DEG = 180.0 / math.pi

@@ -1,4 +1,4 @@
-"""What comes after a calibration: certificate, compensation, the plan of the next test, ledger, trend, prospects of terms.
+"""What comes after a calibration: certificate, compensation, the plan of the next test, ledger, trend.
 
 Also any TOML file as text with the commands that run it, and jobs: how far they are, what they printed and wrote; stop one.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime as dt
-import re
 import secrets
 import shlex
 import time
@@ -22,10 +21,8 @@ from starlette.routing import Route
 from piga.data import example_files
 from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
-from piga.records.run_file import read_run_file
 from piga.records.text_files import files_named_in, toml_document
-from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Kept, OutsideError, results_of
-from piga.workbench.history import ChangedError
+from piga.workbench.folder import CALIBRATION, STATE_FOLDER, ChangedError, Kept, OutsideError, results_of
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import (
     Bench,
@@ -39,9 +36,9 @@ from piga.workbench.pages.common import (
     redirect,
     render,
     result_file,
+    start,
 )
 from piga.workbench.pages.record import kept_of, left
-from piga.workbench.signals import cache_key
 
 CERTIFICATE = "certificate.toml"
 """File of the laboratory's own entries."""
@@ -57,17 +54,6 @@ _TABLES = ("environment", "traceability.standard")
 """Lists of tables; they are typed as text."""
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
-
-
-def start(
-    request: Request, command: Sequence[str], title: str, subject: str, result: str = "", reads: Any = None
-) -> Response:
-    """Start a job and go to its page."""
-    bench = bench_of(request)
-    if result:
-        bench.folder.path(result)
-    job = bench.jobs.start(command, title, subject, result, reads)
-    return redirect(request, f"/jobs/{job.key}")
 
 
 def _plain(name: str) -> str:
@@ -186,28 +172,21 @@ def _document(values: dict[str, str], *, whole: bool) -> str:
     return str(tomlkit.dumps(document))
 
 
-def _certificate(request: Request) -> Response:
-    """The form of a certificate, filled from the calibration and from the laboratory's own entries."""
-    bench, name = bench_of(request), request.query_params.get("of", "")
-    kept = kept_of(bench, name) if name else None
-    return _certificate_page(request, kept, _own(bench, kept))
-
-
-def _certificate_page(
-    request: Request, kept: Kept | None, values: dict[str, str], message: str = "", code: int = 200
+def _certificate(
+    request: Request, values: dict[str, str] | None = None, of: str = "", message: str = ""
 ) -> Response:
-    bench = bench_of(request)
+    """The form of a certificate: as it was sent, or filled from the calibration and from the laboratory's own entries."""
+    bench, of = bench_of(request), of or request.query_params.get("of", "")
+    kept = kept_of(bench, of) if of else None
     seen = ""
     with contextlib.suppress(PigaError):
         seen = bench.history.seen(bench.folder.text(CERTIFICATE))
     keys, x509 = _pem_files(bench)
-    of = "" if kept is None else kept.name
-    draft = next(
-        (job for job in bench.jobs.all() if (job.title, job.subject) == ("DRAFT certificate", of)), None
-    )
+    drafts = (job for job in bench.jobs.all() if (job.title, job.subject) == ("DRAFT certificate", of))
     return render(
-        request, "certificate.html.jinja", code, **left(bench), one=kept, items=_items(bench, values), seen=seen,
-        message=message, keys=keys, x509=x509, signed=bench.folder.listed(".xml"), draft=draft,
+        request, "certificate.html.jinja", 422 if message else 200, **left(bench), one=kept, message=message, seen=seen,
+        items=_items(bench, _own(bench, kept) if values is None else values), keys=keys, x509=x509,
+        signed=bench.folder.listed(".xml"), draft=next(drafts, None),
     )  # fmt: skip
 
 
@@ -219,7 +198,7 @@ def _issue(request: Request, sent: Sent) -> Response:
     items, is_draft = _items(bench, values), only(sent, "do") != "issue"
     if any(item.refusal or not (item.typed or is_draft) for item in items):
         words = "Some entries are missing or cannot be used; each says why."
-        return _certificate_page(request, kept, values, words, 422)
+        return _certificate(request, values, kept.name, words)
     text = _document(values, whole=False)
     bench.history.write(CERTIFICATE, only(sent, "seen"), text, "certificate entries", "any")
     out, source, title = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE, "Certificate"
@@ -400,24 +379,10 @@ def _trend(request: Request, sent: Sent) -> Response:
     return start(request, command, "Trend", serial, out)
 
 
-# --- what a record can determine ------------------------------------------------------------------
-
-
-def _prospects(request: Request) -> Response:
+def _prospects(request: Request, _sent: Sent) -> Response:
     """What the record says of each term, before a fit."""
-    bench, name = bench_of(request), request.path_params["name"]
-    files = files_named_in(bench.folder.toml(name))
-    read_run_file(files[0])
-    mark = f"check/{cache_key(files)}"
-    command = ("check", name, "--terms", "--json")
-    job = bench.jobs.latest(name, mark) or bench.jobs.start(command, "Ask for each term", name, mark)
-    status = bench.jobs.status(job)
-    rows: list[Any] = []
-    if status.state == "done":
-        with contextlib.suppress(OSError, ValueError):
-            rows = bench.jobs.document(job)["terms"]
-    message = "" if status.state in ("running", "done") else re.sub(r"^piga: ", "", bench.jobs.text(job, "err"))
-    return render(request, "prospects.html.jinja", name=name, status=status, rows=rows, message=message)
+    name = bench_of(request).folder.name(bench_of(request).folder.toml(request.path_params["name"]))
+    return start(request, ("check", name, "--terms"), "Which terms the record tells", name)
 
 
 # --- show as text ----------------------------------------------------------------------------------
@@ -509,19 +474,19 @@ def _job_of(request: Request) -> tuple[Bench, Job]:
 
 def _show_jobs(request: Request) -> Response:
     jobs = bench_of(request).jobs
-    return render(request, "jobs.html.jinja", jobs=[(job, jobs.status(job)) for job in jobs.all()])
+    return render(request, "jobs.html.jinja", jobs=jobs.all())
 
 
 def _show_job(request: Request) -> Response:
     """One job: its state, what it printed, its files. The page asks for it again while the job runs."""
     bench, job = _job_of(request)
-    status = bench.jobs.status(job)
+    state = job.state
     response = render(
-        request, "job-part.html.jinja" if is_part(request) else "job.html.jinja", job=job, status=status,
-        line=f"piga {shlex.join(job.command)}", out=bench.jobs.text(job, "out"), err=bench.jobs.text(job, "err"),
-        files=[path.name for path in _result_files(bench, job)] if status.state == "done" else [],
+        request, "job-part.html.jinja" if is_part(request) else "job.html.jinja", job=job, state=state,
+        line=f"piga {shlex.join(job.command)}", out=job.text("out"), err=job.text("err"),
+        files=[path.name for path in _result_files(bench, job)] if state == "done" else [],
     )  # fmt: skip
-    if is_part(request) and status.state != "running":
+    if is_part(request) and state != "running":
         response.headers["hx-refresh"] = "true"
     return response
 
@@ -544,7 +509,7 @@ def _job_file(request: Request) -> Response:
 
 def _result_files(bench: Bench, job: Job) -> list[Path]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
-    if not job.result or job.result.startswith(("signals/", "check/")):
+    if not job.result or job.result.startswith("signals/"):
         return []
     is_trial = job.result.startswith(f"{STATE_FOLDER}/trials/")
     place = bench.folder.root / job.result if is_trial else bench.folder.path(job.result)
@@ -564,7 +529,7 @@ ROUTES = [
         for route in (Route(address, page, methods=["GET"]), Route(address, posted(page), methods=["POST"]))
     ),
     Route("/trend", posted(_trend), methods=["POST"]),
-    Route("/prospects/{name:path}", _prospects),
+    Route("/prospects/{name:path}", posted(_prospects), methods=["POST"]),
     Route("/text", _show_text, methods=["GET"]),
     Route("/text", posted(_save_text), methods=["POST"]),
     Route("/jobs", _show_jobs),

@@ -6,11 +6,12 @@ import contextlib
 import hashlib
 import json
 import re
+import secrets
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote, urlencode
 
 import msgspec
@@ -28,8 +29,15 @@ from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
 from piga.reports.render.numbers import rounded
-from piga.workbench.folder import CALIBRATION, STATE_FOLDER, Entry, Kept, OutsideError, results_of
-from piga.workbench.history import ChangedError
+from piga.workbench.folder import (
+    CALIBRATION,
+    STATE_FOLDER,
+    ChangedError,
+    Entry,
+    Kept,
+    OutsideError,
+    results_of,
+)
 from piga.workbench.jobs import BusyError, Job
 from piga.workbench.pages.common import (
     Bench,
@@ -86,14 +94,11 @@ def left(bench: Bench, name: str = "") -> dict[str, Any]:
 def _time_line(kept: list[Kept]) -> list[dict[str, Any]]:
     """Kept calibrations as points: percent of the width and height of the picture, and the length of the bar of u."""
     low = min((one.ppm - one.u_ppm for one in kept), default=0.0)
-    size = max([1e-3, *(one.ppm + one.u_ppm - low for one in kept)])
+    scale = 70.0 / max([1e-3, *(one.ppm + one.u_ppm - low for one in kept)])
+    places = ((one, 8.0 + 84.0 * (index + 0.5) / len(kept)) for index, one in enumerate(kept))
     return [
-        {
-            "kept": one, "x": 8.0 + 84.0 * (index + 0.5) / len(kept), "y": 85.0 - 70.0 * (one.ppm - low) / size,
-            "u": 70.0 * one.u_ppm / size,
-        }
-        for index, one in enumerate(kept)
-    ]  # fmt: skip
+        {"kept": one, "x": x, "y": 85.0 - scale * (one.ppm - low), "u": scale * one.u_ppm} for one, x in places
+    ]
 
 
 def _home(request: Request) -> Response:
@@ -115,7 +120,7 @@ def _try_shipped(request: Request) -> Response:
     with tempfile.TemporaryDirectory(dir=folder.state_room("parts")) as part:
         run = copy_example(Path(part))
         for path in (run.with_suffix(".csv"), run):
-            with contextlib.suppress(PigaError):  # it is there already
+            with contextlib.suppress(FileExistsError):
                 put_in_place(path, folder.path(path.name), replace=False)
     return redirect(request, f"/record/{run.name}")
 
@@ -124,28 +129,23 @@ async def _take(request: Request) -> Response:
     """A file that was dropped in. Its bytes are the body; its name is in the address."""
     folder = bench_of(request).folder
     target = folder.free_name(request.query_params.get("name", ""))
-    too_large = TooLargeError(
-        f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB", remedy="copy it into the folder"
-    )
-    with tempfile.NamedTemporaryFile(dir=folder.state_room("parts"), delete=False) as stream:
-        part = Path(stream.name)
-        try:
-            declared = request.headers.get("content-length", "0")
-            if declared.isdigit() and len(declared) < 19 and int(declared) > MOST_UPLOAD:
-                raise too_large
+    words = f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB"
+    too_large = TooLargeError(words, remedy="copy it into the folder")
+    if int(request.headers.get("content-length", "0")) > MOST_UPLOAD:
+        raise too_large
+    part = folder.state_room("parts") / secrets.token_hex(8)
+    try:
+        with part.open("xb") as stream:
             async for piece in request.stream():
                 stream.write(piece)
                 if stream.tell() > MOST_UPLOAD:
                     raise too_large
-            stream.flush()
-            part.chmod(0o644)
-            await run_in_threadpool(put_in_place, part, target, replace=False)
-        finally:
-            part.unlink(missing_ok=True)
+        await run_in_threadpool(put_in_place, part, target, replace=False)
+    finally:
+        part.unlink(missing_ok=True)
     name = folder.name(target)
-    return JSONResponse(
-        {"name": name, "address": f"/{'record' if target.suffix == '.toml' else 'log'}/{quote(name)}"}
-    )
+    kind = "record" if target.suffix == ".toml" else "log"
+    return JSONResponse({"name": name, "address": f"/{kind}/{quote(name)}"})
 
 
 def _tag(request: Request, sent: Sent) -> Response:
@@ -174,7 +174,7 @@ def _reading(bench: Bench, name: str, *, again: bool = False) -> tuple[Outline |
     cache = _cache_of(bench, name)
     mark = f"signals/{cache.name}"
     last = bench.jobs.latest(name, mark)
-    state = bench.jobs.status(last).state if last else ""
+    state = last.state if last else ""
     outline = read_outline(cache)  # after the state: the job may end meanwhile
     if outline is not None:
         return outline, None
@@ -189,27 +189,25 @@ def _show(request: Request) -> Response:
     entry = bench.folder.entry(name)
     if entry.state == "log":
         return redirect(request, _address_of(entry))
-    values = left(bench, name) | {"entry": entry, "query": request.url.query}
+    values = left(bench, name) | {"query": request.url.query}
     return render(request, "record.html.jinja", **values, **_picture(request, entry))
 
 
 def _show_picture(request: Request) -> Response:
     """The picture alone; the page asks for it while the record is read."""
     entry = bench_of(request).folder.entry(request.path_params["name"])
-    return render(request, "picture.html.jinja", entry=entry, **_picture(request, entry))
+    return render(request, "picture.html.jinja", **_picture(request, entry))
+
+
+_DRAWN = ("signals", "duration", "positions", "left_out", "moves", "findings")
+"""Parts of an outline that the script draws."""
 
 
 def _picture(request: Request, entry: Entry) -> dict[str, Any]:
     """What the picture shows: the outline, the job that reads the record, what it waits for, or why it cannot be read."""
     bench = bench_of(request)
-    values: dict[str, Any] = {
-        "outline": None,
-        "job": None,
-        "message": "",
-        "repairs": [],
-        "waits": "",
-        "seen": "",
-    }
+    values: dict[str, Any] = {"entry": entry, "outline": None, "job": None, "message": "", "repairs": []}
+    values |= {"waits": "", "seen": ""}
     with contextlib.suppress(PigaError):
         values["seen"] = bench.history.seen(bench.folder.text(entry.name))
     if entry.state == "faulty":
@@ -218,20 +216,14 @@ def _picture(request: Request, entry: Entry) -> dict[str, Any]:
         outline, job = _reading(bench, entry.name, again="again" in request.query_params)
     except BusyError as error:
         return values | {"waits": error.message}
-    if outline is None:
-        assert job is not None  # noqa: S101  a record is read, or a job reads it
-        status = bench.jobs.status(job)
-        if status.state not in _ENDED:
-            return values | {"job": job, "status": status}
-        message = bench.jobs.text(job, "err").removeprefix("piga: ") or "The reading was stopped."
-        return values | {"message": message, "repairs": _repairs(bench, entry)}
-    drawn = {key: value for key, value in asdict(outline).items() if key in _DRAWN}
-    drawn["findings"] = [one["time"] for one in drawn["findings"] if one["time"]]
-    return values | {"outline": outline, "drawn": json.dumps(drawn)}
-
-
-_DRAWN = ("signals", "duration", "positions", "left_out", "moves", "findings")
-"""Parts of an outline that the script draws."""
+    if outline is not None:
+        drawn = {key: value for key, value in msgspec.to_builtins(outline).items() if key in _DRAWN}
+        drawn["findings"] = [one.time for one in outline.findings if one.time]
+        return values | {"outline": outline, "drawn": json.dumps(drawn)}
+    if job is None or job.state not in _ENDED:
+        return values | {"job": job}
+    message = job.text("err").removeprefix("piga: ") or "The reading was stopped."
+    return values | {"message": message, "repairs": _repairs(bench, entry)}
 
 
 def _repairs(bench: Bench, entry: Entry) -> list[Any]:
@@ -247,18 +239,20 @@ def _data(request: Request) -> Response:
     """Rows of time, then least and largest value of each asked signal, as 64-bit floats."""
     cache, query = _cache_of(bench_of(request), request.path_params["name"]), request.query_params
     try:
-        first, last, width = float(query["from"]), float(query["to"]), int(query["width"])
+        span = float(query["from"]), float(query["to"]), int(query["width"])
     except (KeyError, ValueError):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
     try:
-        table = picture(cache, query.get("keys", "").split(","), first, last, width)
+        table = picture(cache, query.get("keys", "").split(","), *span)
     except (ArgumentError, OSError):
         if read_outline(cache) is None:  # the record was changed; the page asks for its picture again
             return Response(status_code=204)
         raise
-    raw = np.ascontiguousarray(table, dtype="<f8").tobytes()
     headers = {"x-columns": str(table.shape[1])}
-    return Response(raw, media_type="application/octet-stream", headers=headers)
+    return Response(table.astype("<f8").tobytes(), media_type="application/octet-stream", headers=headers)
+
+
+# --- what is said of a record ---------------------------------------------------------------------
 
 
 def _change(request: Request, sent: Sent) -> Response:
@@ -267,60 +261,55 @@ def _change(request: Request, sent: Sent) -> Response:
     from tomlkit.exceptions import TOMLKitError
 
     bench, name = bench_of(request), request.path_params["name"]
+    changes = {"set": _set, "again": _use_again, "leave": _leave_out, "moves": _leave_out}
+    change = changes.get(only(sent, "do"))
+    if change is None:
+        raise ArgumentError(
+            f"{only(sent, 'do')[:40]!r}: is not a command of this page", remedy="use its buttons"
+        )
     try:
         document = tomlkit.parse(bench.folder.text(name))
-        words = _changed(bench, name, document, sent)
+        words = change(bench, name, document, sent)
         text = tomlkit.dumps(document)
     except PigaError:
         raise
     except (TOMLKitError, ValueError, TypeError, AttributeError, KeyError):
         raise ArgumentError(f"{name}: this cannot be put into the file", remedy="change it as text") from None
     bench.history.write(name, only(sent, "seen"), text, words)
-    return redirect(request, f"/record/{quote(name)}{_query(only(sent, 'query'))}")
+    return redirect(request, f"/record/{quote(name)}{_query(sent)}")
 
 
-def _query(text: str) -> str:
+def _query(sent: Sent) -> str:
+    """The terms that the page showed, for its address."""
+    text = only(sent, "query")
     return f"?{text}" if re.fullmatch(r"terms=[\w%,.+]*", text) else ""
 
 
-def _changed(bench: Bench, name: str, document: Any, sent: Sent) -> str:
-    """Make the change in the document; what was done, in words."""
+def _set(_bench: Bench, _name: str, document: Any, sent: Sent) -> str:
     import tomlkit
 
-    word = only(sent, "do")
-    if word == "set":
-        place, _, key = only(sent, "key").partition(".")
-        document.setdefault(place, tomlkit.table())[key] = tomlkit.value(only(sent, "value"))
-        return f"set {key} = {only(sent, 'value')}"
-    table = document.setdefault("data", tomlkit.table())
-    entries = table.get("leave_out", [])
-    if word == "again":
-        index = only(sent, "index")
-        if not index.isdigit() or int(index) >= len(entries):
-            raise ArgumentError("these rows are used already", remedy="reload the page")
-        reason = entries[int(index)]["reason"]
-        del entries[int(index)]
-        return f"use again: {reason}"
-    spans, reason = _spans(bench, name, sent)
-    if "leave_out" not in table:
-        table["leave_out"] = tomlkit.array()
-    for rows in spans:
-        entry = tomlkit.inline_table()
-        entry.update({"rows": list(rows), "reason": reason})
-        table["leave_out"].append(entry)
-    table["leave_out"].multiline(multiline=True)
-    return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
+    place, _, key = only(sent, "key").partition(".")
+    document.setdefault(place, tomlkit.table())[key] = tomlkit.value(only(sent, "value"))
+    return f"set {key} = {only(sent, 'value')}"
 
 
-def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], str]:
-    """The rows that are left out, and why."""
-    word = only(sent, "do")
-    if word not in ("leave", "moves"):
-        raise ArgumentError(f"{word[:40]!r}: is not a command of this page", remedy="use its buttons")
-    outline = read_outline(_cache_of(bench, name))
+def _use_again(_bench: Bench, _name: str, document: Any, sent: Sent) -> str:
+    entries, index = document.get("data", {}).get("leave_out", []), only(sent, "index")
+    if not index.isdigit() or int(index) >= len(entries):
+        raise ArgumentError("these rows are used already", remedy="reload the page")
+    reason = entries[int(index)]["reason"]
+    del entries[int(index)]
+    return f"use again: {reason}"
+
+
+def _leave_out(bench: Bench, name: str, document: Any, sent: Sent) -> str:
+    import tomlkit
+
+    cache = _cache_of(bench, name)
+    outline = read_outline(cache)
     if outline is None:
         raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
-    if word == "moves":
+    if only(sent, "do") == "moves":
         spans, reason = [one.rows for one in outline.moves], "the stand moves"
     else:
         try:
@@ -330,10 +319,17 @@ def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], 
         reason = " ".join(only(sent, "reason").split())
         if not reason:
             raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-        spans = [rows_between(_cache_of(bench, name), first, last)]
+        spans = [rows_between(cache, first, last)]
     if sum(last - first + 1 for first, last in spans) >= outline.rows:
         raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
-    return spans, reason
+    table = document["data"]
+    entries = table.setdefault("leave_out", tomlkit.array())
+    for rows in spans:
+        entry = tomlkit.inline_table()
+        entry.update({"rows": list(rows), "reason": reason})
+        entries.append(entry)
+    entries.multiline(multiline=True)
+    return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
 
 
 # --- the answer -----------------------------------------------------------------------------------
@@ -342,8 +338,7 @@ _LIGHTS = {"clear": ("green", "Clear"), "doubt": ("amber", "Doubt"), "do not use
 """Colour and words of each grade."""
 
 
-@dataclass(frozen=True)
-class Light:
+class Light(NamedTuple):
     """``grade`` (green, amber or red) and its words: what to do, the reason, and the other doubts."""
 
     grade: str
@@ -386,11 +381,9 @@ class _Answer:
         rows = []
         for key, one in list(now.items())[:60]:
             factor, unit = shown_unit(one.name, one.unit)
-            was = before.get(key, one).value
-            ghost = "" if was == one.value else rounded(factor * was, factor * one.std).value
-            rows.append(
-                {"key": key, "value": factor * one.value, "u": factor * one.std, "unit": unit, "was": ghost}
-            )
+            value, u, was = factor * one.value, factor * one.std, factor * before.get(key, one).value
+            ghost = "" if was == value else rounded(was, u).value
+            rows.append({"key": key, "value": value, "u": u, "unit": unit, "was": ghost})
         return rows
 
 
@@ -415,7 +408,7 @@ def _answer(bench: Bench, name: str, terms: tuple[str, ...], outline: Outline) -
         if answer.calibration is None:
             thinned = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
             job = _fit(bench, name, thinned, early, terms, "--no-report")
-            if bench.jobs.status(job).state in ("running", "stopped"):
+            if job.state in ("running", "stopped"):
                 return replace(answer, key=key), job
             answer = _made(bench, early, outline.thinned)
     return replace(answer, key=key), _fit(bench, name, name, key, terms)
@@ -427,11 +420,13 @@ def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *o
     last = bench.jobs.latest(name, place)
     if last is not None:
         return last
-    fits = [job for job in bench.jobs.running() if (job.subject, job.title) == (name, "Fit")]
-    bench.jobs.stop(*(job for job in fits if key[:16] not in job.result), patience=0.0)
-    bench.folder.state_room("trials")
+    bench.jobs.stop(*(job for job in _fits(bench, name) if key[:16] not in job.result), patience=0.0)
     command = ("calibrate", run, "--terms", ",".join(terms), "--out", place, *options)
     return bench.jobs.start(command, "Fit", name, place)
+
+
+def _fits(bench: Bench, name: str) -> list[Job]:
+    return [job for job in bench.jobs.all() if (job.subject, job.title) == (name, "Fit")]
 
 
 def _show_answer(request: Request) -> Response:
@@ -439,17 +434,23 @@ def _show_answer(request: Request) -> Response:
     bench, name, query = bench_of(request), request.path_params["name"], request.query_params
     entry = bench.folder.entry(name)
     ticked = query.getlist("term")
-    text = ",".join(ticked) if ticked else query.get("terms", "")
-    values: dict[str, Any] = {"entry": entry, "answer": None, "status": None, "message": "", "waits": ""}
+    text = ",".join(ticked) or query.get("terms", "")
+    values: dict[str, Any] = {
+        "entry": entry,
+        "answer": None,
+        "state": "",
+        "message": "",
+        "waits": "",
+        "query": text,
+    }
     if entry.state in ("faulty", "log"):
-        return render(request, "answer.html.jinja", **values, query=text)
-    for old in bench.jobs.all() if ticked or "again" in query else ():  # what was stopped is asked for again
-        if (old.subject, old.title) == (name, "Fit"):
-            bench.jobs.forget(old)
+        return render(request, "answer.html.jinja", **values)
+    for old in _fits(bench, name) if ticked or "again" in query else ():  # what was stopped is asked for again
+        bench.jobs.forget(old)
     try:
         outline, _ = _reading(bench, name)
         if outline is None:
-            return render(request, "answer.html.jinja", **values, query=text)
+            return render(request, "answer.html.jinja", **values)
         run_file = read_run_file(bench.folder.toml(name))
         terms = tuple(term for term in text.split(",") if term) or run_file.model.terms
         if ticked:
@@ -457,30 +458,41 @@ def _show_answer(request: Request) -> Response:
         check_terms(terms, output=run_file.unit)
         answer, job = _answer(bench, name, terms, outline)
     except BusyError as error:  # the page asks again
-        return render(request, "answer.html.jinja", **values | {"waits": error.message}, query=text)
+        return render(request, "answer.html.jinja", **values | {"waits": error.message})
     last = bench.answers.setdefault(name, [])
     if answer.calibration is not None and answer.key not in last[:1]:
         bench.answers[name] = last = [answer.key, *last][:2]
     former = next((_made(bench, key) for key in last if key != answer.key), None)
-    status = bench.jobs.status(job) if job else None
-    if job and status and status.state in _ENDED:
-        values["message"] = bench.jobs.text(job, "err") or "The fit was stopped."
+    values["state"] = job.state if job else ""
+    if job and values["state"] in _ENDED:
+        values["message"] = job.text("err") or "The fit was stopped."
     boxes = [one for one in dict.fromkeys((*_TERMS, *terms)) if run_file.unit == GYRO or not turns(one)]
+    values |= {"answer": answer, "query": ",".join(terms), "job": job, "mark": _mark(entry)}
     response = render(
-        request, "answer.html.jinja", **values | {"answer": answer, "status": status}, job=job,
-        rows=answer.rows(former), query=",".join(terms), output_unit=shown_output,
-        terms=[(term, meaning_of(term), term in terms) for term in boxes],
-        usual=set(terms) == set(run_file.model.terms), seen=bench.history.seen(bench.folder.text(name)),
-        mark=_mark(entry),
-    )  # fmt: skip
+        request,
+        "answer.html.jinja",
+        **values,
+        rows=answer.rows(former),
+        output_unit=shown_output,
+        terms=[(one, meaning_of(one), one in terms) for one in boxes],
+        usual=set(terms) == set(run_file.model.terms),
+        seen=bench.history.seen(bench.folder.text(name)),
+    )
     if ticked:
-        response.headers["hx-push-url"] = f"/record/{quote(name)}?{urlencode({'terms': ','.join(terms)})}"
+        response.headers["hx-push-url"] = f"/record/{quote(name)}?{urlencode({'terms': values['query']})}"
     return response
+
+
+# --- kept results ---------------------------------------------------------------------------------
 
 
 def _mark(entry: Entry) -> str:
     """What the newest kept result of a record is; it tells whether another tab kept one meanwhile."""
     return f"{entry.kept[0].created} {entry.kept[0].K!r} {len(entry.kept)}" if entry.kept else "none"
+
+
+def _in_words(kept: Kept) -> str:
+    return f"K = {rounded(kept.K, kept.u).value} {kept.unit}"
 
 
 def _keep(request: Request, sent: Sent) -> Response:
@@ -495,27 +507,19 @@ def _keep(request: Request, sent: Sent) -> Response:
     with bench.history.lock:
         entry = bench.folder.entry(name)
         if _mark(entry) != only(sent, "mark"):
-            newest = entry.kept[0] if entry.kept else None
-            words = (
-                f"+ kept: K = {rounded(newest.K, newest.u).value} {newest.unit}" if newest else "- discarded"
-            )
+            words = f"+ kept: {_in_words(entry.kept[0])}" if entry.kept else "- discarded"
             raise ChangedError(f"the kept results of {name}", [words])
         target = bench.folder.path(bench.folder.name(results_of(bench.folder.toml(name))))
         former = None
         if target.exists():
             number = 1 + max((-one.version for one in entry.kept), default=0)
-            former = target.rename(
-                bench.folder.path(bench.folder.name(target.with_name(f"{target.name}-v{number}")))
-            )
+            older = target.with_name(f"{target.name}-v{number}")
+            former = target.rename(bench.folder.path(bench.folder.name(older)))
         part = bench.folder.state_room("parts") / key
         shutil.copytree(answer.place, part, dirs_exist_ok=True)
         part.rename(target)
-        words = f"keep K = {rounded(answer.kept.K, answer.kept.u).value} {answer.kept.unit}"
-        bench.history.note(words, (target, former))
-    return redirect(request, f"/record/{quote(name)}{_query(only(sent, 'query'))}")
-
-
-# --- kept results ---------------------------------------------------------------------------------
+        bench.history.note(f"keep {_in_words(answer.kept)}", (target, former))
+    return redirect(request, f"/record/{quote(name)}{_query(sent)}")
 
 
 def kept_of(bench: Bench, name: str) -> Kept:
@@ -530,7 +534,7 @@ def _show_kept(request: Request) -> Response:
     """A kept calibration: its report and files."""
     bench, name = bench_of(request), request.path_params["name"]
     kept, entries = kept_of(bench, name), bench.folder.entries()
-    entry = next((one for one in entries if name in [k.name for k in one.kept]), None)
+    entry = next((one for one in entries if kept in one.kept), None)
     names = [path.name for path in bench.folder.files() if bench.folder.name(path.parent) == name]
     values = left(bench, entry.name if entry else "")
     return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
@@ -553,11 +557,11 @@ def _trial_report(request: Request) -> Response:
 
 def _discard(request: Request) -> Response:
     """Remove a kept calibration; Undo brings it back."""
-    bench, name = bench_of(request), request.path_params["name"]
+    bench = bench_of(request)
     with bench.history.lock:
-        kept = kept_of(bench, name)
+        kept = kept_of(bench, request.path_params["name"])
         path = bench.folder.path(kept.name)
-        bench.history.note(f"discard K = {rounded(kept.K, kept.u).value}", (path, bench.history.put_away(path)))
+        bench.history.note(f"discard {_in_words(kept)}", (path, bench.history.put_away(path)))
     return redirect(request, "/")
 
 
@@ -579,17 +583,15 @@ def _compare(request: Request) -> Response:
     one, other = ({c.key: c for c in calibration.coefficients} for calibration in both)
     table = []
     for key in dict.fromkeys((*one, *other)):
-        cells = [one.get(key), other.get(key)]
-        factor, unit = shown_unit(key, next(cell.unit for cell in cells if cell))
+        there = [c[key] for c in (one, other) if key in c]
+        factor, unit = shown_unit(key, there[0].unit)
         row: dict[str, Any] = {"key": key, "unit": unit}
-        row["cells"] = [(factor * cell.value, factor * cell.std) if cell else None for cell in cells]
-        if key in one and key in other:
-            u, difference = float(np.hypot(one[key].std, other[key].std)), other[key].value - one[key].value
-            row |= {
-                "difference": factor * difference,
-                "u": factor * u,
-                "ratio": abs(difference) / u if u else 0.0,
-            }
+        row["cells"] = [
+            (factor * c[key].value, factor * c[key].std) if key in c else None for c in (one, other)
+        ]
+        if len(there) == 2:
+            (first, u), (second, v) = row["cells"]
+            row |= {"difference": second - first, "u": float(np.hypot(u, v))}
         table.append(row)
     lights = [light(calibration) for calibration in both]
     return render(request, "compare.html.jinja", **left(bench), pair=pair, table=table, lights=lights)
