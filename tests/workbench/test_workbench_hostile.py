@@ -99,7 +99,7 @@ def test_an_upload_without_end_is_cut_off(tmp_path: Path, declared: bool) -> Non
     assert answer.startswith(b"HTTP/1.1 413 ")
     assert client.page("/healthz") == "ok\n"
     assert memory(running.process.pid) - before < 30.0
-    assert not list((tmp_path / ".piga-ui" / "parts").iterdir())
+    assert not list((tmp_path / ".piga-ui").glob("parts/*"))
     assert [path.name for path in tmp_path.iterdir()] == [".piga-ui"]
     assert running.end() == (0, "")
 
