@@ -40,7 +40,8 @@ def outcomes(name: str, tests: int, workers: int = 0) -> list[Outcome]:
 
 def held(results: list[Outcome]) -> np.ndarray:
     """Share of the intervals that hold, for each coefficient."""
-    return np.mean([(r.low <= r.truth) & (r.truth <= r.high) for r in results], axis=0)
+    low, high, truth = (np.array([r.columns[key] for r in results]) for key in ("low", "high", "truth"))
+    return np.mean((low <= truth) & (truth <= high), axis=0)
 
 
 @pytest.mark.long
