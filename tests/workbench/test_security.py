@@ -287,3 +287,22 @@ def test_what_is_gone_names_what_to_do_instead(
         main()
     assert end.value.code == 2
     assert instead in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("port", "host", "known"),
+    [
+        (8443, "127.0.0.1:8443", True),
+        (8443, "LocalHost:8443", True),
+        (8443, "[::1]:8443", True),
+        (8443, "127.0.0.1", False),
+        (8443, "evil.example:8443", False),
+        (80, "127.0.0.1", True),  # browsers leave this port out
+        (80, "localhost:80", True),
+        (80, "evil.example", False),
+        (80, "evil.example:80", False),
+    ],
+)
+def test_only_a_loopback_name_with_the_port_is_known(port: int, host: str, known: bool) -> None:
+    assert Door(port).knows_host(host) is known
+    assert Door(port).knows_origin(f"http://{host.lower()}") is known

@@ -15,11 +15,10 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -35,8 +34,6 @@ Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 config: Any = numba.config
-RECENT = 2.0
-"""Time after a compilation within which the next one is expected [s]."""
 
 
 def _user_cache() -> Path:
@@ -107,29 +104,18 @@ class _LoadedCache(FunctionCache):
 
 
 class _Compilations(event.Listener):
-    """Counts the compilations that are going on."""
-
-    going: ClassVar[int] = 0
-    ended: ClassVar[float] = -1e9
+    """Tells those who wait that a kernel is compiled."""
 
     def on_start(self, _event: Any) -> None:
         """A kernel is compiled from now on."""
-        _Compilations.going += 1
         while WHEN_COMPILED:
             WHEN_COMPILED.pop()()
 
     def on_end(self, _event: Any) -> None:
         """A kernel is compiled."""
-        _Compilations.going -= 1
-        _Compilations.ended = time.monotonic()
 
 
 event.register("numba:compile", _Compilations())  # type: ignore[no-untyped-call]
-
-
-def compiling() -> bool:
-    """True while kernels are compiled, not only loaded: the first command after an installation does so."""
-    return _Compilations.going > 0 or time.monotonic() - _Compilations.ended < RECENT
 
 
 def _compiled(function: F, fastmath: bool | set[str], **more: Any) -> F:

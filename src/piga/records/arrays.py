@@ -1,6 +1,7 @@
 """Arrays of a record. An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
 
-A record of any length is therefore read and calibrated with about two columns in memory: the temporaries of one operation.
+A record of any length is therefore read with about three columns in memory, calibrated with four and compensated with two
+and a half: the temporaries of one operation.
 The files vanish when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR``
 names, else in ``/var/tmp``.
 """

@@ -196,6 +196,8 @@ class Folder:
 
     def read(self, path: Path, most: int = _MOST_RESULT) -> bytes:
         """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile."""
+        if ".." in path.parts or self.root not in path.parents:
+            raise OutsideError(f"{path.name}: is not a file of this folder", remedy="choose a listed file")
         try:
             with open(path, "rb", opener=lambda *_: self._opened(path)) as stream:
                 status = os.fstat(stream.fileno())
@@ -204,10 +206,8 @@ class Folder:
                         f"{path.name}: is no regular file, or too large", remedy="choose another"
                     )
                 return stream.read(most + 1)
-        except (OSError, ValueError) as error:
-            words = (
-                f"{path.name}: cannot be read ({getattr(error, 'strerror', '') or 'not a file of this folder'})"
-            )
+        except OSError as error:
+            words = f"{path.name}: cannot be read ({error.strerror})"
             raise OutsideError(words, remedy="choose a listed file") from None
 
     def _opened(self, path: Path) -> int:
@@ -221,7 +221,7 @@ class Folder:
         for part in path.relative_to(self.root).parts:
             parent = number
             try:
-                number = os.open(part if part != ".." else "", flags, dir_fd=parent)
+                number = os.open(part, flags, dir_fd=parent)
             finally:
                 os.close(parent)
         return number
@@ -337,9 +337,8 @@ class Folder:
             document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_KeptFile)
             nominal = float(document.instrument["scale_factor_nominal"]["value"])
             values = {one.name: one for one in document.coefficients}
-            if (
-                K := values.get("scale_factor")
-            ) is None:  # of a calibration that has the relative term k1 instead
+            K = values.get("scale_factor")
+            if K is None:  # the calibration has the relative term k1 instead
                 k1 = values["k1"]
                 K = _Coefficient("", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
             serial, made = str(document.instrument["serial"]), str(document.provenance.get("created", ""))
@@ -458,9 +457,8 @@ class History:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
             words, steps = self._changes.pop()
             for path, former in reversed(steps):
-                if (
-                    former is None or not former.is_file()
-                ):  # a file is replaced at once: a page may ask for it at any time
+                # a file is replaced at once: a page may ask for it at any time
+                if former is None or not former.is_file():
                     self.put_away(path)
                 if former is not None:
                     former.replace(path)

@@ -92,8 +92,11 @@ class Door:
 
     def knows_host(self, host: str) -> bool:
         """True if ``host`` (of the request) is a loopback name with this server's port."""
-        name, _, port = host.lower().rpartition(":")
-        return name in (LOOPBACK, "localhost", "[::1]") and port == str(self.port)
+        names = (LOOPBACK, "localhost", "[::1]")
+        # browsers leave port 80 out
+        return host.lower() in [f"{name}:{self.port}" for name in names] or (
+            self.port == 80 and host.lower() in names
+        )
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""

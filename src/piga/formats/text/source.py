@@ -210,12 +210,13 @@ class TextSource:
             kept, state = decoder.getstate()
             try:
                 text = decoder.decode(block)
-            except UnicodeDecodeError as error:
-                good = max(error.start - len(kept), 0)
+            except UnicodeError as error:  # without a place: UTF-16 or UTF-32 without a byte-order mark
+                start = error.start if isinstance(error, UnicodeDecodeError) else 0
+                good = max(start - len(kept), 0)
                 decoder.setstate((kept, state))
                 yield decoder.decode(block[:good]).encode("utf-8", errors="surrogatepass")
                 row = lines + block[:good].count(b"\n") + 1
-                words = f"byte {offset - len(kept) + error.start} is not {self.encoding} text"
+                words = f"byte {offset - len(kept) + start} is not {self.encoding} text"
                 raise refusal(self.path, words, _DECLARE, row=row, fixes=_ENCODING) from None
             yield text.removeprefix("\ufeff" if offset == 0 else "").encode("utf-8", errors="surrogatepass")
             offset += len(block)
