@@ -87,6 +87,24 @@ def test_no_peak_is_lost_and_none_invented(
     assert np.all(np.isin(rows[:, 0], t))
 
 
+@pytest.mark.parametrize("drawn", [0, 1 << 18])
+@pytest.mark.parametrize("width", [3, 50, 1000])
+def test_no_stroke_joins_two_positions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawn: int, width: int
+) -> None:
+    """Two positions of constant force, neither a whole number of blocks: each row holds one of them, a gap lies between."""
+    levels = np.repeat([1.0, 5.0, 1.0], [3001, 2003, 2500])
+    t = 0.01 * np.arange(levels.size) + np.repeat([0.0, 10.0, 20.0], [3001, 2003, 2500])
+    f = np.column_stack((levels, 0.0 * levels, 0.0 * levels))
+    run = Run.from_arrays(t, np.cumsum(levels), f, scale_factor="0.8884 rad/s/g", serial="A", units="SI")
+    outline = write(run, tmp_path / "a-1")
+    monkeypatch.setattr(signals, "DRAWN", drawn)
+    rows = picture(tmp_path / "a-1", ["fX"], 0.0, outline.duration, width)
+    drawn_rows = rows[~np.isnan(rows[:, 1])]
+    np.testing.assert_array_equal(drawn_rows[:, 1], drawn_rows[:, 2])
+    assert int(np.isnan(rows[:, 1]).sum()) == 2
+
+
 def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: Path) -> None:
     """By the trapezoidal rule from sample to sample, anew in each stretch, also over the ends of the blocks read at once."""
     run = record(3000, [1000, 2001])

@@ -2,7 +2,8 @@
 
 A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with the
 extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. A gap of the record is
-a gap of the line. Of a long record a thinned copy is written, too, for a first answer.
+a gap of the line: no block and no pixel holds samples of two stretches. Of a long record a thinned copy is written, too, for
+a first answer.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.formats.parquet import data_table
@@ -40,7 +42,7 @@ LONG, THINNED = 1_000_000, 50_000
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
 CHUNK = 1 << 20
-FORM = 7
+FORM = 8
 """Version of the cache's files."""
 
 
@@ -132,7 +134,10 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
 
 
 def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
-    np.save(folder / "breaks.npy", _breaks(run))
+    breaks = _breaks(run)
+    blocks = _blocks(run.size, breaks)
+    np.save(folder / "breaks.npy", breaks)
+    np.save(folder / "blocks.npy", blocks)
     np.save(folder / "row.npy", run.row)
     t = _write_time(run, folder / "t.npy")
     temperature = run_file.data.temperature
@@ -144,23 +149,28 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
             _write_difference(run, t, column)
         else:
             column[:] = values
-    np.save(folder / "extremes.npy", _extremes(columns, columns, BLOCK))
+    np.save(folder / "extremes.npy", _extremes(columns, columns, blocks))
     thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
     outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals), thinned)
     (folder / "outline.json").write_bytes(msgspec.json.encode(outline))
     return outline
 
 
-def _breaks(run: Run) -> Array:
+def _breaks(run: Run) -> NDArray[np.int64]:
     """First samples of the stretches that follow the longest breaks."""
     rows = np.flatnonzero(run.begins[1:]) + 1
     size = np.abs(run.t[rows] - run.t[rows - 1])
     return np.sort(rows[np.argsort(size)[-_MOST_STRETCHES:]])
 
 
-def _extremes(least: Array, largest: Array, size: int) -> Array:
-    """Least and largest value of each so many columns."""
-    starts = np.arange(0, least.shape[1], size)
+def _blocks(size: int, breaks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """First samples of the blocks of the envelope; each break begins one."""
+    edges = [0, *breaks.tolist(), size]
+    return np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
+
+
+def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
+    """Least and largest value of the columns from each start to the next."""
     return np.stack((np.fmin.reduceat(least, starts, axis=1), np.fmax.reduceat(largest, starts, axis=1)))
 
 
@@ -307,23 +317,23 @@ def picture(folder: Path, keys: Sequence[str], first: float, last: float, width:
     high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
     shown = [signals[key][0] for key in keys]
     if high - low <= DRAWN:
-        size = 1
+        at = np.arange(low, high)
         least = largest = np.load(folder / "columns.npy", mmap_mode="r")[shown, low:high]
     else:
-        size, low = BLOCK, low // BLOCK * BLOCK
-        blocks = slice(low // BLOCK, -(-high // BLOCK))
-        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, blocks]
-    every = max(least.shape[1] // (2 * width), 1)
-    starts = np.arange(low, high, every * size)
-    columns = [t[starts]]
-    for key, ends in zip(keys, _extremes(least, largest, every).swapaxes(0, 1), strict=True):
-        columns += list(ends * signals[key][1].factor + signals[key][1].offset)
-    rows = np.column_stack(columns)
+        blocks = np.load(folder / "blocks.npy", mmap_mode="r")
+        part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
+        at = np.asarray(blocks[part])
+        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, part]
     breaks = np.load(folder / "breaks.npy", mmap_mode="r")
-    after = np.unique(np.searchsorted(starts, breaks[(breaks > low) & (breaks <= starts[-1])]))
-    gaps = np.full((after.size, rows.shape[1]), np.nan)
-    gaps[:, 0] = 0.5 * (rows[after - 1, 0] + rows[after, 0])
-    return np.insert(rows, after, gaps, axis=0)
+    after = np.searchsorted(at, breaks[(breaks > at[0]) & (breaks < high)])
+    starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), after)
+    columns = [t[at[starts]]]
+    for key, ends in zip(keys, _extremes(least, largest, starts).swapaxes(0, 1), strict=True):
+        columns += list(ends * signals[key][1].factor + signals[key][1].offset)
+    rows, gap = np.column_stack(columns), np.searchsorted(starts, after)
+    gaps = np.full((gap.size, rows.shape[1]), np.nan)
+    gaps[:, 0] = 0.5 * (rows[gap - 1, 0] + rows[gap, 0])
+    return np.insert(rows, gap, gaps, axis=0)
 
 
 def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:
