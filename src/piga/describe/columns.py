@@ -14,7 +14,6 @@ from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, UnitError
 from piga.formats.text.time_stamp import forms_of
@@ -122,46 +121,11 @@ def fact(line: str) -> tuple[str, str] | None:
     return None
 
 
-_LIKE: dict[str, str] = {
-    "time": "s",
-    "angle": "rad",
-    "rate": "rad/s",
-    "force": "m/s^2",
-    "base-rate": "rad/s",
-    "temperature": "K",
-    "stand-angle": "rad",
-    "stand-speed": "rad/s",
-}
-"""A unit of the quantity of each kind that has one."""
-UNITS: dict[str, tuple[str, ...]] = {
-    "time": ("s", "ms", "us", "min", "h"),
-    "angle": ("deg", "rad", "rev", "arcmin", "arcsec", "mrad"),
-    "rate": ("deg/s", "rad/s", "rev/s", "rpm", "deg/h"),
-    "force": ("g", "m/s^2", "mg", "ug"),
-    "base-rate": ("deg/s", "rad/s", "deg/h", "rpm"),
-    "temperature": ("degC", "K"),
-    "stand-angle": ("deg", "rad"),
-    "stand-speed": ("rpm", "rad/s", "deg/s"),
-}
-"""Units that logs write, by kind."""
-WORDS: dict[str, str] = {
-    "time": "time",
-    "date": "date",
-    "counts": "output in counts",
-    "pulses": "pulses of each sample",
-    "angle": "output angle",
-    "rate": "output rate",
-    "direct": "output of an instrument without a gimbal",
-    "force": "specific force",
-    "base-rate": "base rate",
-    "temperature": "temperature",
-    "segment": "segment",
-    "sequence": "sample number",
-    "stand-angle": "angle of the stand",
-    "stand-speed": "speed of the stand",
-    "other": "not used",
-}
+_KINDS: dict[str, Any] = _NAMES["kinds"]
+WORDS: dict[str, str] = {kind: entry["words"] for kind, entry in _KINDS.items()}
 """Kinds in words."""
+UNITS: dict[str, list[str]] = {kind: entry["units"] for kind, entry in _KINDS.items() if "units" in entry}
+"""Units that logs write, by kind."""
 _PLAIN = re.compile(r"[-+]?\d*[.,]?\d*(?:[eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:[,.' \u00a0]\d{3})+(?:[.,]\d+)?")
 _UNNAMED = re.compile(r"[A-Z]{1,2}|.*\(:,\d+\)|(?:c|ch|col|column|channel|var|field)[ _-]?\d+", re.IGNORECASE)
@@ -261,7 +225,7 @@ def as_told(
         if (
             before.name not in numbers
             and not before.stamp
-            and guesses[place].kind in (*_LIKE, "counts", "pulses")
+            and guesses[place].kind in (*UNITS, "counts", "pulses")
         ):
             raise ArgumentError(
                 f"--column {name}={text}: {before.reason}",
@@ -286,13 +250,13 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
             f"--column {guess.name}={text}: '{name}' is not what a column can hold",
             remedy=f"one of: {kinds}; with its unit: angle [deg]",
         )
-    fits = kind == "direct" or (kind in _LIKE and measures(known_unit(unit or ""), _LIKE[kind]))
+    fits = kind == "direct" or (kind in UNITS and measures(known_unit(unit or ""), UNITS[kind][0]))
     if unit is not None and not (fits and known_unit(unit)):
         raise ArgumentError(
             f"--column {guess.name}={text}: '{unit}' is not a unit of {WORDS[kind]}",
-            remedy=f"e.g. {guess.name}={name} [{_LIKE[kind]}]" if kind in _LIKE else "leave it out",
+            remedy=f"e.g. {guess.name}={name} [{UNITS[kind][0]}]" if kind in UNITS else "leave it out",
         )
-    kept = guess.unit if kind == "direct" or (kind in _LIKE and measures(guess.unit, _LIKE[kind])) else ""
+    kept = guess.unit if kind == "direct" or (kind in UNITS and measures(guess.unit, UNITS[kind][0])) else ""
     place = None if axis is None else _AXES[axis]
     return replace(guess, kind=kind, axis=place, unit=known_unit(unit or "") or kept, reason=TOLD)
 
@@ -320,75 +284,37 @@ def guess_columns(
     return [_with_unit(guess, guesses, numbers) for guess in guesses]
 
 
-FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
+_FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
 """Numbers that loggers write for a missing value."""
 _MOST_FILLED = 0.2
 """Largest share of the rows that such a number may take."""
 _FAR = 20.0
-"""A fill value is at least this many usual steps from the values around it and from all other values."""
+"""A fill value is at least this many usual steps from the values before and after it."""
 
 
 def without_fills(numbers: dict[str, Array], names: tuple[str, ...]) -> dict[str, float]:
     """Find numbers that mark missing values, and put nan in their place. Returns the number by column."""
     fills = {}
     for name in names:
-        value = _fill(numbers[name])
+        value = next((one for one in _FILLS if _marks_missing(numbers[name], one)), None)
         if value is not None:
             fills[name] = value
             numbers[name] = np.where(numbers[name] == value, np.nan, numbers[name])
     return fills
 
 
-def _fill(x: Array) -> float | None:
-    """A number of :data:`FILLS` that lies far outside all other values of the column."""
-    for value in FILLS:
-        filled = x == value
-        if not 0 < np.count_nonzero(filled) <= _MOST_FILLED * x.size:
-            continue
-        rest = x[~filled & np.isfinite(x)]
-        if rest.size < 3:
-            continue
-        usual = float(np.quantile(np.abs(np.diff(rest)), 0.9))
-        apart = max(rest.min() - value, value - rest.max())
-        if apart > max(_FAR * usual, 0.0 if usual else np.ptp(rest)):
-            return value
-    return None
-
-
-_MOST_SPIKES = 100
-"""Most spikes of one column that are left out row by row."""
-
-
-def without_spikes(
-    numbers: dict[str, Array], names: tuple[str, ...], rows: NDArray[np.int64]
-) -> dict[str, tuple[float, tuple[tuple[int, int], ...]]]:
-    """Find numbers that mark missing values in a column whose good values pass them, and put nan in their place.
-
-    Returns the number by column, and the first and last row of each spike.
-    """
-    spikes = {}
-    for name in names:
-        x = numbers[name]
-        usual = float(np.nanquantile(np.abs(np.diff(x)), 0.9)) if np.isfinite(x).sum() > 8 else 0.0
-        for value in FILLS:
-            filled = x == value
-            if usual == 0.0 or not 0 < np.count_nonzero(filled) <= _MOST_SPIKES:
-                continue
-            edges = np.flatnonzero(np.diff(np.r_[False, filled, False]))
-            starts, ends = edges[::2], edges[1::2] - 1
-            before, after = x[np.maximum(starts - 1, 0)], x[np.minimum(ends + 1, x.size - 1)]
-            apart = np.minimum(
-                np.where(starts > 0, np.abs(before - value), np.inf),
-                np.where(ends + 1 < x.size, np.abs(after - value), np.inf),
-            )
-            far = apart > _FAR * usual
-            if far.any():
-                chosen = list(zip(starts[far].tolist(), ends[far].tolist(), strict=True))
-                spikes[name] = value, tuple((int(rows[a]), int(rows[b])) for a, b in chosen)
-                for a, b in chosen:
-                    x = np.where((np.arange(x.size) >= a) & (np.arange(x.size) <= b), np.nan, x)
-                numbers[name] = x
-    return spikes
+def _marks_missing(x: Array, value: float) -> bool:
+    """True for a number in a few rows of a column, each time far from the values before and after it."""
+    filled = x == value
+    rest = x[~filled & np.isfinite(x)]
+    if not 0 < np.count_nonzero(filled) <= _MOST_FILLED * x.size or rest.size < 3:
+        return False
+    edges = np.flatnonzero(np.diff(filled, prepend=False, append=False))
+    before, after = edges[::2] - 1, edges[1::2]
+    beside = x[np.concatenate((before[before >= 0], after[after < x.size]))]
+    usual = float(np.quantile(np.abs(np.diff(rest)), 0.9))
+    far = _FAR * usual if usual else float(np.ptp(rest))
+    return bool(np.nanmin(np.abs(beside - value), initial=np.inf) > far)
 
 
 def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
@@ -429,7 +355,7 @@ def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> Colum
         )
     if kind == "segment" and measures(unit, "rad"):
         return replace(guess, kind="stand-angle", reason=f"its name, and its unit {unit}")
-    if kind in _LIKE and unit and not measures(unit, _LIKE[kind]):
+    if kind in UNITS and unit and not measures(unit, UNITS[kind][0]):
         return _by_unit(guess)
     if x is None and kind not in ("segment", "date"):
         return replace(guess, kind="other", reason=_no_numbers(cells), unit="")
@@ -451,7 +377,7 @@ def _by_unit(guess: ColumnGuess) -> ColumnGuess:
     """A column whose name and unit disagree: the unit decides."""
     others: tuple[Kind, ...] = ("angle", "rate", "temperature") if guess.kind != "temperature" else ("time",)
     for kind in others:
-        if measures(guess.unit, _LIKE[kind]):
+        if measures(guess.unit, UNITS[kind][0]):
             return replace(
                 guess, kind=kind, axis=None, reason=f"its unit {guess.unit}", alternatives=(WORDS[guess.kind],)
             )
@@ -538,7 +464,7 @@ def _direct_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> lis
 def _with_unit(guess: ColumnGuess, guesses: list[ColumnGuess], numbers: dict[str, Array]) -> ColumnGuess:
     """Guess a unit that neither header nor name gives. Columns of three axes have one unit."""
     x = numbers.get(guess.name)
-    if guess.unit or guess.stamp or x is None or guess.kind not in _LIKE:
+    if guess.unit or guess.stamp or x is None or guess.kind not in UNITS:
         return guess
     axes = {one.axis: one for one in reversed(guesses) if one.kind == guess.kind and one.axis is not None}
     beside = list(axes.values()) if guess in axes.values() else []

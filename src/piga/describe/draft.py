@@ -16,6 +16,7 @@ from importlib.resources import files
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+from piga.describe.layout import Guess
 from piga.errors import ArgumentError, UnitError
 from piga.records.text_files import si_unit, structs_in, toml_text, toml_value
 from piga.units import to_si
@@ -226,6 +227,18 @@ class RunFileDraft:
         self.document.setdefault(table, {})[name] = value
         if reasons:
             self.comments[key] = list(reasons)
+
+    def put_guess(self, key: str, guess: Guess) -> None:
+        """Set ``table.key`` to a guess; the comment names the reason and the alternatives."""
+        name = key.rpartition(".")[2]
+        others = [f"  or: {name} = {toml_value(other)}" for other in guess.alternatives]
+        self.put(key, guess.value, guess.reason, *others)
+
+    def put_fact(self, facts: Mapping[str, Guess], key: str, unit: str) -> bool:
+        """Set ``table.key`` to the quantity that the preamble of the log states. False if it states none."""
+        if key in facts:
+            self.put(key, quantity_text(facts[key].value, unit), facts[key].reason)
+        return key in facts
 
     def text(self) -> str:
         """The run file."""

@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from piga.describe.columns import (
     kind_of_name,
     known_names,
     without_fills,
-    without_spikes,
 )
 from piga.describe.layout import Guess, TextLayout, text_layout
 from piga.errors import DataError, PigaError
@@ -27,14 +25,11 @@ from piga.formats.columns import RecordStream
 from piga.formats.text.convention import HeadRows, units_in_names
 from piga.formats.text.reader import TextStream, is_number
 from piga.formats.text.time_stamp import forms_of
-from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind, open_stream
-from piga.records.run_file import DataTable, OutputColumn
+from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.results import Array
 
 _MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""
-
-
 _NO_COLUMN = "\N{REPLACEMENT CHARACTER}"
 """A column that no file has: the refusal lists the columns that there are."""
 
@@ -59,10 +54,6 @@ class LogDescription:
         Segment label of each of these rows, as an index into ``label_names``; None without a segment column.
     fills:
         Number that marks missing values, by column. It is nan in ``numbers``.
-    spikes:
-        The same where good values of the column pass this number: the number, and the first and last row of each spike.
-    rows:
-        Row of the file of each of these values (text files).
     """
 
     path: Path
@@ -73,8 +64,6 @@ class LogDescription:
     labels: NDArray[np.int32] | None = None
     label_names: tuple[str, ...] = ()
     fills: dict[str, float] = field(default_factory=dict)
-    spikes: dict[str, tuple[float, tuple[tuple[int, int], ...]]] = field(default_factory=dict)
-    rows: NDArray[np.int64] | None = None
 
     def of(self, kind: str) -> list[ColumnGuess]:
         """Columns of a kind, by axis; those that the user named come first."""
@@ -106,49 +95,31 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
 
 def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     layout = text_layout(path)
-    numeric = tuple(
-        name for name, cells in layout.sample.items() if _mostly_numbers(cells, layout.decimal.value)
-    )
+    decimal, cells = layout.decimal.value, layout.sample.items()
+    numeric = tuple(name for name, some in cells if _mostly_numbers(some, decimal))
     label = _label_column(layout.names, layout.sample, told)
-    stamp = next(
-        (
-            (name, forms_of(cells[:50])[0])
-            for name, cells in layout.sample.items()
-            if name not in numeric and forms_of(cells[:50])
-        ),
-        None,
-    )
+    stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
+    stamp = next(stamps, None)
     read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
     stream = TextStream(
         path,
         read,
         label,
         separator=layout.separator.value,
-        decimal=layout.decimal.value,
+        decimal=decimal,
         encoding=layout.encoding.value,
         rows=HeadRows(layout.skip_rows, layout.header_row.value, layout.units_row.value),
         mask_damaged=True,
         stamp=stamp,
     )
-    numbers, codes, rows = _collected(stream, read)
+    numbers, codes = _collected(stream, read)
     if label in numeric and codes is not None:
-        numbers[label] = _label_numbers(stream.label_names, layout.decimal.value)[codes]
+        numbers[label] = _label_numbers(stream.label_names, decimal)[codes]
     fills = without_fills(numbers, numeric)
-    spikes = without_spikes(numbers, numeric, rows)
     valued = {name: numbers[name] for name in numeric}
     columns = as_told(guess_columns(layout.names, layout.units, layout.sample, valued), told, valued)
-    return LogDescription(
-        path,
-        layout,
-        tuple(columns),
-        layout.facts,
-        numbers,
-        codes if label else None,
-        tuple(stream.label_names),
-        fills,
-        spikes,
-        rows,
-    )
+    labels = tuple(stream.label_names)
+    return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels, fills)
 
 
 _MOST_WORDS = 0.2
@@ -176,74 +147,57 @@ def _label_column(names: tuple[str, ...], sample: dict[str, list[str]], told: Ma
     return named[0] if named else None
 
 
-def _collected(stream: RecordStream, names: tuple[str, ...]) -> tuple[dict[str, Array], Any, Any]:
-    """The first rows of a stream: numbers by column, the codes of the labels, and the rows of the file."""
-    parts: dict[str, list[Array]] = {name: [] for name in names}
-    codes: list[Any] = []
-    places: list[Any] = []
-    rows = 0
+def _collected(
+    stream: RecordStream, names: tuple[str, ...]
+) -> tuple[dict[str, Array], NDArray[np.int32] | None]:
+    """The first rows of a stream: numbers by column, and the codes of the labels."""
+    chunks, rows = [], 0
     for chunk in stream.chunks():
-        places.append(chunk.rows)
-        for name in names:
-            parts[name].append(chunk.numbers[name])
-        if chunk.codes is not None:
-            codes.append(chunk.codes)
+        chunks.append(chunk)
         rows += chunk.rows.size
         if rows >= _MOST_LOG_ROWS:
             break
-    joined = {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
-    file_rows = np.concatenate(places) if places else np.empty(0, np.int64)
-    return joined, np.concatenate(codes) if codes else None, file_rows
+    codes = [chunk.codes for chunk in chunks if chunk.codes is not None]
+    numbers = {name: np.concatenate([np.empty(0), *(one.numbers[name] for one in chunks)]) for name in names}
+    return numbers, np.concatenate(codes) if codes else None
 
 
 def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
-    """A log in another format than text: every column of numbers is read."""
-    sheets = _sheets(path)
-    listed = {sheet: _names_in(path, sheet) for sheet in sheets}
-    sheet = max(sheets, key=lambda one: known_names(listed[one]))
-    known = _short_names(listed[sheet], file_kind(path))
-    plain, units = units_in_names(tuple(known))
-    known = dict(zip(plain, known.values(), strict=True))
-    read = _numbers_of(path, sheet, list(known.values()))
-    numbers = {short: read[0][name] for short, name in known.items() if name in read[0]}
-    units |= {short: read[1][name] for short, name in known.items() if name in read[1]}
-    told = {short: told[one] for short, name in known.items() for one in (short, name) if one in told} | {
-        name: kind for name, kind in told.items() if name not in (*known, *known.values())
-    }
-    label = _label_column(tuple(known), {name: ["x"] for name in known}, told)
-    codes = None
-    labels: tuple[str, ...] = ()
+    """A log in another format than text: every column of numbers is read. Guesses go by short names without units."""
+    listed = {sheet: _names_in(path, sheet) for sheet in _sheets(path)}
+    sheet = max(listed, key=lambda one: known_names(listed[one]))
+    full = _short_names(listed[sheet], file_kind(path))
+    plain, units = units_in_names(tuple(full))
+    full = dict(zip(plain, full.values(), strict=True))
+    short = {name: one for one, name in full.items()}
+    read, stated = _numbers_of(path, sheet, list(short))
+    numbers = {one: read[name] for name, one in short.items() if name in read}
+    units |= {short[name]: unit for name, unit in stated.items()}
+    told = {short.get(name, name): kind for name, kind in told.items()}
+    label = _label_column(plain, {name: ["x"] for name in plain}, told)
+    codes, labels = None, []
     if label is not None and numbers:
-        whole = (short for short, column in numbers.items() if np.isfinite(column).all())
-        other = known[next(whole, next(iter(numbers)))]
-        with_label = DataTable(path.name, OutputColumn(other, "counts"), segment=known[label], sheet=sheet)
-        stream = open_stream(path.parent, with_label)
-        codes, labels = _collected(stream, (other,))[1], tuple(stream.label_names)
+        whole = (one for one, column in numbers.items() if np.isfinite(column).all())
+        other = full[next(whole, next(iter(numbers)))]
+        stream = columns_stream(path, (other,), full[label], sheet)
+        codes, labels = _collected(stream, (other,))[1], stream.label_names
     fills = without_fills(numbers, tuple(numbers))
-    guesses = as_told(guess_columns(tuple(known), units, {}, numbers), told, numbers)
-    columns = [replace(guess, name=known[guess.name]) for guess in guesses]
-    others = [name for name in listed[sheet] if name not in known.values()]
-    columns += [ColumnGuess(name, "other", "it is in another group") for name in others]
-    facts = (
-        {}
-        if len(sheets) < 2
-        else {
-            "data.sheet": Guess(
-                sheet,
-                f"the sheet with the most known names of {len(sheets)}",
-                tuple(one for one in sheets if one != sheet),
-            )
-        }
-    )
+    guesses = as_told(guess_columns(plain, units, {}, numbers), told, numbers)
+    columns = [replace(guess, name=full[guess.name]) for guess in guesses]
+    columns += [ColumnGuess(n, "other", "it is in another group") for n in listed[sheet] if n not in short]
+    facts = {}
+    if len(listed) > 1:
+        others = tuple(one for one in listed if one != sheet)
+        facts["data.sheet"] = Guess(sheet, f"the sheet with the most known names of {len(listed)}", others)
     return LogDescription(
         path,
         None,
         tuple(columns),
         facts,
-        {known[short]: column for short, column in numbers.items()},
+        {full[one]: column for one, column in numbers.items()},
         codes,
-        labels,
-        {known[short]: value for short, value in fills.items()},
+        tuple(labels),
+        {full[one]: value for one, value in fills.items()},
     )
 
 
@@ -291,7 +245,7 @@ def _sheets(path: Path) -> list[str | None]:
     """The sheets of a spreadsheet with several; else one without a name."""
     error = _refusal(path, None)
     sheets = [fix.value for fix in error.fixes if fix.key == "sheet"] if error else []
-    return [*sheets] or [None]
+    return sheets or [None]
 
 
 def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
@@ -305,7 +259,7 @@ def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
 def _refusal(path: Path, sheet: str | None) -> DataError | None:
     """The answer to a request for no column: it lists the columns, or the sheets, of the file."""
     try:
-        open_stream(path.parent, DataTable(path.name, OutputColumn(_NO_COLUMN, "counts"), sheet=sheet))
+        columns_stream(path, (_NO_COLUMN,), sheet=sheet)
     except DataError as error:
         return error
     return None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from piga.describe.columns import WORDS, ColumnGuess, Values
-from piga.describe.draft import RunFileDraft, number_in, quantity_text
+from piga.describe.draft import RunFileDraft, number_in
 from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
@@ -92,7 +92,8 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
         if fix.key not in ("missing", "damaged_rows"):
             continue
         before = dict(draft.document["data"])
-        draft.put(f"data.{fix.key}", fix.value, why)
+        value = [*before.get("missing", []), *fix.value] if fix.key == "missing" else fix.value
+        draft.put(f"data.{fix.key}", value, why)
         try:
             run = read_run(path, content=draft.text().encode())
         except DataError:
@@ -107,9 +108,7 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
 def _layout(draft: RunFileDraft, log: LogDescription) -> None:
     layout = log.layout
     if "data.sheet" in log.facts:
-        sheet = log.facts["data.sheet"]
-        others = [f"  or: sheet = {toml_value(other)}" for other in sheet.alternatives]
-        draft.put("data.sheet", sheet.value, sheet.reason, *others)
+        draft.put_guess("data.sheet", log.facts["data.sheet"])
     if layout is None:
         return
     guesses = {"delimiter": layout.separator, "decimal": layout.decimal}
@@ -122,28 +121,19 @@ def _layout(draft: RunFileDraft, log: LogDescription) -> None:
     if layout.units_row.value is not False:
         guesses["units_row"] = layout.units_row
     for key, guess in guesses.items():
-        others = [f"  or: {key} = {toml_value(other)}" for other in guess.alternatives]
-        draft.put(f"data.{key}", guess.value, guess.reason, *others)
+        draft.put_guess(f"data.{key}", guess)
 
 
 def _time(draft: RunFileDraft, log: LogDescription) -> None:
-    times = log.of("time")
-    stamped = [column for column in times if column.stamp]
-    named = [column for column in times if not column.stamp]
-    chosen = (named or stamped)[:1]
-    if not chosen:
-        rate = log.facts.get("data.sample_rate")
+    times = sorted(log.of("time"), key=lambda column: bool(column.stamp))
+    if not times:
         step = log.facts.get("step")
-        if rate is not None:
-            draft.put("data.sample_rate", quantity_text(rate.value, "Hz"), rate.reason)
-        elif step is not None and number_in(step.value) > 0.0:
-            draft.put(
-                "data.sample_rate",
-                f"{1.0 / number_in(step.value):.9g} Hz",
-                f"{step.reason}: the time between samples",
-            )
+        stated = draft.put_fact(log.facts, "data.sample_rate", "Hz")
+        if not stated and step is not None and number_in(step.value) > 0.0:
+            rate = f"{1.0 / number_in(step.value):.9g} Hz"
+            draft.put("data.sample_rate", rate, f"{step.reason}: the time between samples")
         return
-    column = chosen[0]
+    column = times[0]
     others = [f"  or: column {other.name}" for other in times if other is not column]
     others += [
         f"  or: {'stamp' if column.stamp else 'unit'} = {toml_value(other.removeprefix('unit '))}"
@@ -189,22 +179,10 @@ def _optional(draft: RunFileDraft, log: LogDescription) -> None:
 
 
 def _fills(draft: RunFileDraft, log: LogDescription) -> None:
-    """Limits that leave out numbers which mark missing values."""
+    """Numbers that mark missing values in the columns in use."""
     used = json.dumps(draft.document["data"])
-    limits = {
-        name: [value, 1e30] if value < 0.0 else [-1e30, value]
-        for name, value in log.fills.items()
-        if json.dumps(name) in used
-    }
-    spikes = [
-        {"rows": list(rows), "reason": f"{log.spikes[name][0]:g} in {name} marks a missing value"}
-        for name in log.spikes
-        if json.dumps(name) in used
-        for rows in log.spikes[name][1]
-    ]
-    if spikes:
-        before = draft.document["data"].get("leave_out", [])
-        draft.put("data.leave_out", before + spikes, "single rows hold a number that marks a missing value")
-    if limits:
-        marks = ", ".join(f"{value:g} in {name}" for name, value in log.fills.items() if name in limits)
-        draft.put("data.range", limits, f"the log writes {marks} for a missing value: such rows are left out")
+    fills = {name: value for name, value in log.fills.items() if json.dumps(name) in used}
+    if fills:
+        marks = ", ".join(f"{value:g} in {name}" for name, value in fills.items())
+        words = list(dict.fromkeys(f"{value:g}" for value in fills.values()))
+        draft.put("data.missing", words, f"the log writes {marks} for a missing value: such rows are left out")

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
-from piga.describe.draft import HEIGHT, RunFileDraft, number_in, quantity_text
+from piga.describe.draft import HEIGHT, RunFileDraft, number_in
+from piga.describe.layout import Guess
 from piga.describe.log import LogDescription
 from piga.errors import ArgumentError, UnitError
 from piga.reading.checks import positions
@@ -207,16 +208,12 @@ def _rate_and_level(
 def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None) -> None:
     """Serial number, scale factor and counts per revolution: from the preamble, else from the slope of the output."""
     own = draft.document["instrument"]
-    serial = log.facts.get("instrument.serial")
-    name = "".join(c if c.isprintable() else "_" for c in log.path.name.split(".")[0])
     if "serial" not in own:
-        if serial is not None:
-            draft.put("instrument.serial", str(serial.value), serial.reason)
-        else:
-            draft.put("instrument.serial", name, "the name of the file; no serial number stands in the log")
-    scale = log.facts.get("instrument.scale_factor")
-    if scale is not None and "scale_factor" not in own:
-        draft.put("instrument.scale_factor", quantity_text(scale.value, "rad/s/g"), scale.reason)
+        name = "".join(c if c.isprintable() else "_" for c in log.path.name.split(".")[0])
+        unknown = Guess(name, "the name of the file; no serial number stands in the log")
+        draft.put_guess("instrument.serial", log.facts.get("instrument.serial", unknown))
+    if "scale_factor" not in own:
+        draft.put_fact(log.facts, "instrument.scale_factor", "rad/s/g")
     counts = log.facts.get("instrument.counts_per_revolution")
     if counts is not None and "counts_per_revolution" not in own and number_in(counts.value) > 0.0:
         draft.put("instrument.counts_per_revolution", number_in(counts.value), counts.reason)
@@ -422,19 +419,15 @@ def _centrifuge(
         f"mean of {column.name} in each of {len(held)} segments, in order",
     )
     draft.put("stand.down", False, "the list holds the levels up and down as they were run")
-    radius = log.facts.get("stand.radius")
-    if radius is not None:
-        draft.put("stand.radius", quantity_text(radius.value, "m"), radius.reason)
+    draft.put_fact(log.facts, "stand.radius", "m")
 
 
 def _site(draft: RunFileDraft, log: LogDescription) -> None:
     stand = draft.document.get("stand", {})
     if "height" not in stand and "gravity" not in stand and "stand.gravity" not in log.facts:
         draft.comments.setdefault("stand.kind", []).append(HEIGHT)
-    for key, unit in (("stand.latitude", "deg"), ("stand.gravity", "m/s^2")):
-        known = log.facts.get(key)
-        if known is not None:
-            draft.put(key, quantity_text(known.value, unit), known.reason)
+    draft.put_fact(log.facts, "stand.latitude", "deg")
+    draft.put_fact(log.facts, "stand.gravity", "m/s^2")
 
 
 def _direct(draft: RunFileDraft) -> bool:

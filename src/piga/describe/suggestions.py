@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import UNITS, kind_of_name
+from piga.describe.columns import UNITS, kind_of_name, plain
 from piga.errors import PigaError
 from piga.records.run import Run
 from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
@@ -94,7 +93,10 @@ def _working(path: Path, document: Document, before: Run | PigaError) -> list[Ch
     """The changes with which the log can be read, or else those that lead to another problem."""
     changes = _of_error(before, document) if isinstance(before, PigaError) else _of_run(before, document)
     read, other = [], []
-    for change in _unique(changes):
+    unique = {
+        (table, key, toml_value(value)): (table, key, value, why) for table, key, value, why in changes[::-1]
+    }
+    for change in reversed(unique.values()):
         after = _read(path, _changed(document, change))
         if isinstance(after, Run):
             if isinstance(before, PigaError) or _settles(change, before, after):
@@ -102,13 +104,6 @@ def _working(path: Path, document: Document, before: Run | PigaError) -> list[Ch
         elif isinstance(before, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet":
             other.append(change)
     return read or other
-
-
-def _unique(changes: list[Change]) -> list[Change]:
-    known: dict[tuple[str, str, str], Change] = {}
-    for change in changes:
-        known.setdefault((change[0], change[1], toml_value(change[2])), change)
-    return list(known.values())
 
 
 def _problem(error: PigaError) -> str:
@@ -158,8 +153,9 @@ def _of_error(error: PigaError, document: Document) -> list[Change]:
     """The keys that an error names, with their values or those that are tried; and names of columns that are nearly those."""
     first = error.message.split(": ", 1)[-1][:160]
     reasons = {"sheet": "one of the sheets", "counter_bits": "if the counter wraps at that width"}
+    words = document.get("data", {}).get("missing", [])
     changes = [
-        (fix.table, fix.key, value, reasons.get(fix.key, first))
+        (fix.table, fix.key, [*words, *value] if fix.key == "missing" else value, reasons.get(fix.key, first))
         for fix in error.fixes
         for value in (_TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
     ]
@@ -219,18 +215,11 @@ def _of_run(run: Run, document: Document) -> list[Change]:
 
 
 def _similar_name(name: str, columns: Sequence[str]) -> str | None:
-    """The most probable column: equal apart from character width and case, of the same kind, or nearly equal."""
-    plain = {_plain(column): column for column in columns}
-    if _plain(name) in plain:
-        return plain[_plain(name)]
+    """The most probable column: equal apart from unit, character width and case, of the same kind, or nearly equal."""
+    names = {plain(column): column for column in columns}
+    if plain(name) in names:
+        return names[plain(name)]
     kind = kind_of_name(name)
-    if kind[0] != "other":
-        same = [column for column in columns if kind_of_name(column) == kind]
-        if same:
-            return same[0]
-    near = difflib.get_close_matches(_plain(name), list(plain), n=1)
-    return plain[near[0]] if near else None
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\[(（].*$", "", unicodedata.normalize("NFKC", name)).strip().lower()
+    same = [column for column in columns if kind_of_name(column) == kind] if kind[0] != "other" else []
+    near = [names[one] for one in difflib.get_close_matches(plain(name), list(names), n=1)]
+    return next(iter([*same, *near]), None)

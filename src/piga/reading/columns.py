@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
+from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, scaled, stored, taken
 from piga.records.calibration import Event, counted
 from piga.records.limits import (
@@ -266,6 +267,11 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
     columns = {name: column.finish() for name, column in numbers.items()}
     raw = RawColumns(path, columns, stored(segment), names, rows.finish(), stream.units, stream.events())
     raw.note("no-segment", segment < 0, "rows without a segment are not used")
+    fills = [float(word) for word in data.missing if is_number(word, ".")]
+    for name, values in columns.items() if fills else ():
+        filled = np.isin(values, fills)
+        values[filled] = np.nan
+        raw.note("missing-value", filled, f"column '{name}'")
     import pyarrow as pa
 
     pa.default_memory_pool().release_unused()

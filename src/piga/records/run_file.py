@@ -6,9 +6,7 @@ data: keys, types, units, names of terms, and options that contradict each other
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -611,7 +609,3 @@ def _faults_of_rows(data: DataTable) -> _Faults:
             f"[data] segment: '{data.segment}' is a number column that is in use already",
             "name another column for the segments",
         )
-    for word in data.missing:
-        with suppress(ValueError):
-            if math.isfinite(float(word)):
-                yield f"[data] missing: '{word}' is a number", "a number cannot mark a missing value: use range"
