@@ -81,7 +81,7 @@ def test_a_column_is_told_on_the_command_line(tmp_path: Path, kind: str) -> None
             r"'tilt' is not what a column can hold\n  remedy: one of: time, .*force x, .*angle",
         ),
         ({"Kanal 4": "force"}, "'force' is not what a column can hold"),
-        ({"Kanal 4": "angle [s]"}, r"'s' is not a unit of output angle\n  remedy: e.g. Kanal 4=angle \[rad\]"),
+        ({"Kanal 4": "angle [s]"}, r"'s' is not a unit of output angle\n  remedy: e.g. Kanal 4=angle \[deg\]"),
         ({"Kanal 4": "counts [deg]"}, "'deg' is not a unit of output in counts"),
     ],
 )

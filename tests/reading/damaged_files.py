@@ -146,6 +146,7 @@ def numbers() -> list[Case]:
         mask("infinite", cell(5, 1, "inf"), 39, {"missing-value": 1}),
         mask("overflow-word", cell(5, 1, "OVER"), 39, {"missing-value": 1}),
         mask("own-token", cell(5, 1, "ERR"), 39, {"missing-value": 1}, data='missing = ["ERR"]'),
+        mask("own-number", cell(5, 3, "-999.0"), 39, {"missing-value": 1}, data='missing = ["ERR", "-999"]'),
         error("utf16-without-mark", text(rows()), "is not utf-16 text", data='encoding = "utf-16"'),
         mask("declared-range", cell(5, 3, "9.9"), 39, {"saturated": 1}, data="range = { fy = [-2, 2] }"),
     ]  # fmt: skip
