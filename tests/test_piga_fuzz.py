@@ -105,13 +105,12 @@ def test_certificates() -> None:
 
 
 def test_imports(tmp_path: Path) -> None:
-    """Exports of which members were changed and sealed again, so that more than the seal is tried."""
+    """Exports of which members were changed, with sums that fit, so that more than the sums is tried."""
     pytest.importorskip("sqlalchemy")
     import hashlib
     import zipfile
 
     from piga.ledger.store import open_store
-    from piga.ledger.store.export import SEAL
     from piga.ledger.store.transfer import import_records
 
     draw = seeded(IMPORT_SEED)
@@ -132,9 +131,6 @@ def test_imports(tmp_path: Path) -> None:
         with zipfile.ZipFile(target, "w") as out:
             for n, data in changed.items():
                 out.writestr(n, data)
-            out.comment = SEAL + b"0" * 64
-        whole = target.read_bytes()[: -len(SEAL) - 64]
-        target.write_bytes(whole + SEAL + hashlib.sha256(whole).hexdigest().encode())
 
     empty, lab = tmp_path / "empty.sqlite", tmp_path / "lab.sqlite"
     open_store(empty, create=True).close()

@@ -226,7 +226,10 @@ def add(
         )
     _check_usable(store)
     if supersedes is not None:
-        supersedes = _superseded(store, supersedes, run)
+        from piga.records.run_file import read_run_file
+
+        with opened(store) as kept:
+            supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
     with progress("calibrating"):
         if results is not None:
             prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
@@ -242,27 +245,6 @@ def add(
             f"head {record.head}",
         )
         tell(as_json, {"store": kept.name, **_record_document(record)}, lines)
-
-
-def _superseded(where: str, record: str, run: Path) -> str:
-    """Name of the record that a new one corrects, checked before the work: it exists, is of this instrument, is not corrected."""
-    from piga.records.run_file import read_run_file
-
-    with opened(where) as kept:
-        old = kept.record(record)
-        serial = read_run_file(run).instrument.serial
-        if old.document.serial != serial:
-            raise PigaError(
-                f"--supersedes {record}: record {old.id} is of instrument '{old.document.serial}', the run is of '{serial}'",
-                remedy="name a record of the same instrument: piga records list",
-            )
-        for other in kept.each(serial):
-            if other.document.supersedes == old.id:
-                raise PigaError(
-                    f"--supersedes {record}: record {old.id} is corrected already, by {other.id}",
-                    remedy=f"correct that one: --supersedes {other.id}",
-                )
-        return str(old.id)
 
 
 def _check_usable(where: str) -> None:

@@ -77,16 +77,15 @@ def _joined(below: str, name: str) -> str:
 
 _MAX_PAGE = 1 << 28
 """Largest page that is kept [bytes]. The page of a calibration has a few MB."""
-_ID, _NUMBER, _STORE, _AFTER = (f"\u27e6record {name}\u27e7" for name in ("id", "number", "store", "after"))
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A calibration ready to be stored: the record without its place in the chain, and the report with blanks for that."""
+    """A calibration ready to be stored: the record without its place in the chain; ``report``: make its page with that place."""
 
     draft: Draft
     calibration: Calibration
-    page: str | None = None
+    report: bool = False
 
     def keep(self, store: Store) -> Record:
         """Store the record. When this returns, it is on disk.
@@ -96,16 +95,12 @@ class Prepared:
         PigaError
             If it cannot be stored; nothing is stored then.
         """
-        return store.append(self._filled)
+        return store.append(self._at)
 
-    def _filled(self, place: Position) -> Draft:
-        """The draft with its report; the blanks are filled in."""
-        if self.page is None:
+    def _at(self, place: Position) -> Draft:
+        if not self.report:
             return self.draft
-        page = self.page
-        blanks = ((_ID, place.id), (_NUMBER, str(place.number)), (_STORE, place.store), (_AFTER, place.after))
-        for blank, value in blanks:
-            page = page.replace(blank, value)
+        page = _report(self.calibration, self.draft, place)
         report = DraftFile("report", "results/report.html", page.encode())
         return replace(self.draft, files=(*self.draft.files, report))
 
@@ -160,7 +155,7 @@ def prepare_run(
         measured,
         supersedes,
     )
-    return Prepared(draft, calibration, _report(calibration, draft) if report else None)
+    return Prepared(draft, calibration, report)
 
 
 def prepare_results(
@@ -227,8 +222,8 @@ def _request(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _report(calibration: Calibration, draft: Draft) -> str:
-    """The report, with blanks for data that are known only when the record gets its place."""
+def _report(calibration: Calibration, draft: Draft, place: Position) -> str:
+    """The report of a record, with its place in the chain."""
     from piga.reports.calibration.page import page as calibration_page
     from piga.reports.calibration.tables import facts_table
     from piga.reports.render.page import Section, page_html
@@ -238,15 +233,16 @@ def _report(calibration: Calibration, draft: Draft) -> str:
         "piga records verify --head compares it with the store."
     )
     rows = [
-        ("Record", _ID),
-        ("Number in the store", _NUMBER),
-        ("Store", _STORE),
-        ("Head before this record", _AFTER),
+        ("Record", place.id),
+        ("Number in the store", str(place.number)),
+        ("Store", place.store),
+        ("Head before this record", place.after),
+        ("Operator", draft.operator),
+        ("Reason", draft.reason),
     ]
-    rows += [("Operator", draft.operator), ("Reason", draft.reason)]
     rows += [("Measured", draft.measured)] if draft.measured else []
     rows += [("Supersedes", draft.supersedes)] if draft.supersedes else []
     page = calibration_page(calibration)
     section = Section("Record", "record", (lead, facts_table(rows, code=True)))
-    footer = f"Record {_ID}, number {_NUMBER}, after head {_AFTER}. {page.footer}"
+    footer = f"Record {place.id}, number {place.number}, after head {place.after}. {page.footer}"
     return page_html(replace(page, sections=(*page.sections, section), footer=footer))

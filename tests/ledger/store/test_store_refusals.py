@@ -20,7 +20,6 @@ import pytest
 from piga.errors import StoreError
 from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.export import SEAL
 from piga.ledger.store.transfer import backup, export_records, import_records, verify
 from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.test_transfer_altered import tamper
@@ -184,7 +183,7 @@ def members_of(path: Path) -> dict[str, bytes]:
 
 
 def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP_DEFLATED) -> None:
-    """An export with sums and seal that fit its members."""
+    """An export with sums that fit its members."""
     named = {name: data for name, data in members.items() if name != "SHA256SUMS"}
     digests = {
         name: name[6:] if name.startswith("files/") else hashlib.sha256(data).hexdigest()
@@ -195,13 +194,6 @@ def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP
         for name, data in {**named, "SHA256SUMS": members.get("SHA256SUMS-as-is", sums)}.items():
             if name != "SHA256SUMS-as-is":
                 export.writestr(name, data)
-        export.comment = SEAL + b"0" * 64
-    seal(path)
-
-
-def seal(path: Path) -> None:
-    raw = path.read_bytes()[: -len(SEAL) - 64]
-    path.write_bytes(raw + SEAL + hashlib.sha256(raw).hexdigest().encode())
 
 
 def forge(members: dict[str, bytes], change: Callable[[int, dict[str, Any]], None]) -> dict[str, bytes]:
@@ -274,25 +266,13 @@ def test_a_chain_forged_from_end_to_end(
         assert store.head().number == 0
 
 
-MANIFEST = b'{"schema": "piga.export/1", "software": "piga 0", "records": 0, %b"links": %d, "head": ""}'
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"notes.txt": b"hello"}, r"member 'notes\.txt' does not belong into an export"),
-        ({"files/" + 64 * "0": bytes(3 << 20)}, "is larger than an export may hold"),
         ({"manifest.json": b"{"}, r"manifest\.json: "),
         ({"manifest.json": b'{"schema": ' + b"[" * 100_000}, r"manifest\.json: nested too deeply"),
         ({"manifest.json": b'{"schema": "piga.export/2"}'}, "export of schema 'piga.export/2'"),
-        ({"manifest.json": b"[]"}, r"manifest\.json: Expected `object`"),
-        (
-            {"manifest.json": b'{"schema": "piga.export/1", "links": 3}'},
-            r"manifest\.json: .* missing required field",
-        ),
-        ({"manifest.json": MANIFEST % (b"", 4)}, "does not fit its members"),
-        ({"manifest.json": MANIFEST % (b'"links": 9, ', 4)}, r"the key 'links' occurs twice"),
-        ({"manifest.json": MANIFEST % (b'"other": 9, ', 4)}, r"unknown field `other`"),
         ({"SHA256SUMS-as-is": b"none\n"}, "SHA256SUMS does not fit its members"),
         ({"manifest.json": None}, r"member 'manifest\.json' is missing"),
     ],
@@ -312,19 +292,17 @@ def test_what_is_no_export(tmp_path: Path) -> None:
             import_records(store, tmp_path / "none.zip", "A", "merge")
         with pytest.raises(StoreError, match="not a ZIP file"):
             import_records(store, tmp_path / "a.sqlite", "A", "merge")
-        (tmp_path / "b.zip").write_bytes(b"PK\x03\x04 and nothing that a ZIP file needs" + SEAL + bytes(64))
-        seal(tmp_path / "b.zip")
+        (tmp_path / "b.zip").write_bytes(b"PK\x03\x04 and nothing that a ZIP file needs")
         with pytest.raises(StoreError, match="the export is damaged"):
             import_records(store, tmp_path / "b.zip", "A", "merge")
 
 
 def test_a_member_whose_bytes_were_changed(sound: Path) -> None:
-    """Stored as it is, so that one byte can be changed where it lies; sealed again, the sum of the ZIP file is not."""
+    """Stored as it is, so that one byte can be changed where it lies."""
     rewrite(sound, members_of(sound), packing=zipfile.ZIP_STORED)
     raw = sound.read_bytes()
     at = raw.index(b"This is an export")
     sound.write_bytes(raw[:at] + b"t" + raw[at + 1 :])
-    seal(sound)
     (problem,) = verify(sound).problems
     assert "member 'README.txt': Bad CRC-32" in problem
     with closing(sqlite3.connect(sound.parent / "a.sqlite")) as untouched:

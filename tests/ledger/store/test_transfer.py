@@ -173,8 +173,8 @@ def test_a_document_that_names_a_key_twice_is_not_sound(
     )
 
 
-def test_what_is_read_of_an_export_is_what_was_sealed(tmp_path: Path, local: Store) -> None:
-    """An export that is put in place of another after its seal was checked is not read."""
+def test_what_is_read_of_an_export_is_what_was_checked(tmp_path: Path, local: Store) -> None:
+    """An export that is put in place of another after it was checked is not read."""
     first, second = tmp_path / "first.zip", tmp_path / "second.zip"
     export_records(local, first)
     with filled(tmp_path / "other.sqlite", 1) as other:

@@ -541,12 +541,3 @@ def read_entries(connection: sa.Connection) -> Iterator[Entry]:
         for row in rows:
             number, what = row.number, f"record {row.number}"
             yield Entry(number, as_bytes(row.link, what), as_bytes(row.document, what))
-
-
-def stored_sizes(connection: sa.Connection) -> dict[str, tuple[int, int]]:
-    """Size of each file, and its size in the store [bytes]."""
-    taken = sa.select(CHUNK.c.sha256, sa.func.sum(sa.func.length(CHUNK.c.data)).label("taken")).group_by(
-        CHUNK.c.sha256
-    )
-    packed = {row.sha256: int(row.taken) for row in connection.execute(taken)}
-    return {row.sha256: (row.size, packed.get(row.sha256, 0)) for row in connection.execute(sa.select(BLOB))}

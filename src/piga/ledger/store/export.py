@@ -1,28 +1,23 @@
-"""Exports: records in one ZIP file with a README, sealed by its own SHA-256.
+"""Exports: records in one ZIP file with a README. The chain proves links, records and files; ``SHA256SUMS`` has all members.
 
 Members: ``README.txt``, ``manifest.json``, ``SHA256SUMS``, ``store.json`` (identity), ``links/N.json`` (all of
-them), ``records/N.json`` and ``files/SHA256`` (of the chosen records). The ZIP comment holds the SHA-256 of every
-byte before it. The same store and the same piga give the same bytes.
+them), ``records/N.json`` and ``files/SHA256`` (of the chosen records). The same store and the same piga give the same bytes.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
-
-import msgspec
+from typing import Self
 
 from piga._version import __version__
 from piga.errors import StoreError
-from piga.ledger.store.database import read_blob, read_entries, read_identity, stored_sizes
+from piga.ledger.store.database import read_blob, read_entries, read_identity
 from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, digest_of, sha256
 from piga.ledger.store.store import Store
 from piga.progress import Progress, report
@@ -30,7 +25,6 @@ from piga.records.limits import open_regular
 from piga.records.text_files import JsonError, json_object
 
 SCHEMA = "piga.export/1"
-SEAL = b"piga.export sha256:"
 _MAX_MEMBERS = 1_000_000
 MAX_DOCUMENT = 16 << 20
 """Largest link or record document [bytes]."""
@@ -38,21 +32,9 @@ _MAX_SUMS = 160 * _MAX_MEMBERS
 """Largest ``SHA256SUMS`` [bytes]: at most 137 bytes for each member."""
 _MAX_FILE = 16 << 30
 """Largest file [bytes]."""
-MAX_RATIO = 200
-"""Largest accepted ratio of unpacked to packed size. The writer stores files with a higher ratio unpacked."""
 _MEMBER = re.compile(
     r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
 )
-
-
-class _Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``manifest.json``: the software that made the export, its numbers of records and links, and the SHA-256 of the last link."""
-
-    schema: str
-    software: str
-    records: int
-    links: int
-    head: str
 
 
 _README = """\
@@ -69,8 +51,7 @@ it vouches for, files/X the file with the SHA-256 X. The chain holds when
   each file that a record lists is there under its SHA-256.
 
 The SHA-256 of the last link is the head. A head noted earlier (every report of a record prints one) is the
-SHA-256 of one of the links: then nothing up to that link was altered since. The ZIP comment holds the SHA-256
-of all bytes of this file before the comment.
+SHA-256 of one of the links: then nothing up to that link was altered since.
 """
 
 
@@ -92,18 +73,18 @@ def write_members(store: Store, path: Path, numbers: set[int] | None, progress: 
                 if entry.document is not None and (numbers is None or number in numbers):
                     sums.text(f"records/{number:08d}.json", entry.document)
                     wanted |= set(_file_names(entry.document))
-            sizes = stored_sizes(connection)
             for done, name in enumerate(sorted(wanted), start=1):
-                size, packed = sizes.get(name, (0, 0))
-                sums.file(f"files/{name}", size, packed, read_blob(connection, name))
+                sums.file(name, read_blob(connection, name))
                 report(progress, done, len(wanted), "writing")
-        records = number if numbers is None else len(numbers)
-        manifest = _Manifest(SCHEMA, f"piga {__version__}", records, number, head)
-        text = json.dumps(msgspec.structs.asdict(manifest), indent=1, sort_keys=True)
-        sums.text("manifest.json", text.encode())
+        manifest = {
+            "schema": SCHEMA,
+            "software": f"piga {__version__}",
+            "records": number if numbers is None else len(numbers),
+            "links": number,
+            "head": head,
+        }
+        sums.text("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
         sums.text("SHA256SUMS", _listing(sums.digests))
-        target.comment = SEAL + b"0" * 64
-    _seal(path)
 
 
 def _file_names(document: bytes) -> list[str]:
@@ -118,45 +99,23 @@ class _Members:
         self.digests: dict[str, str] = {}
 
     def text(self, name: str, data: bytes) -> None:
-        self.target.writestr(_member(name, zipfile.ZIP_DEFLATED), data)
+        self.target.writestr(_member(name), data)
         self.digests[name] = sha256(data)
 
-    def file(self, name: str, size: int, packed: int, parts: Iterable[bytes]) -> None:
-        dense = size > MAX_RATIO // 2 * max(packed, 1)
-        member = _member(name, zipfile.ZIP_STORED if dense else zipfile.ZIP_DEFLATED)
-        member.file_size = size
-        with self.target.open(member, "w", force_zip64=size > 1 << 30) as stream:
-            for part in parts:
-                stream.write(part)
-        self.digests[name] = name.removeprefix("files/")
+    def file(self, digest: str, parts: Iterable[bytes]) -> None:
+        with self.target.open(_member(f"files/{digest}"), "w", force_zip64=True) as stream:
+            stream.writelines(parts)
+        self.digests[f"files/{digest}"] = digest
 
 
 def _listing(digests: dict[str, str]) -> bytes:
     return "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
 
 
-def _member(name: str, kind: int) -> zipfile.ZipInfo:
+def _member(name: str) -> zipfile.ZipInfo:
     member = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-    member.compress_type, member.create_system, member.external_attr = kind, 3, 0o644 << 16
+    member.compress_type, member.create_system, member.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
     return member
-
-
-def _seal(path: Path) -> None:
-    """Write the SHA-256 of everything before the ZIP comment into the comment."""
-    with path.open("r+b") as stream:
-        digest = _sealed_digest(stream)
-        stream.seek(len(SEAL), 1)
-        stream.write(digest.encode())
-
-
-def _sealed_digest(stream: BinaryIO) -> str:
-    """SHA-256 of everything before the comment. The stream is then at the comment."""
-    digest, length = hashlib.sha256(), os.fstat(stream.fileno()).st_size - len(SEAL) - 64
-    while length > 0:
-        part = stream.read(min(PART, length))
-        digest.update(part)
-        length -= len(part)
-    return digest.hexdigest()
 
 
 def is_export(path: Path) -> bool:
@@ -169,7 +128,7 @@ def is_export(path: Path) -> bool:
 
 
 class Export:
-    """An export opened for reading. Its seal, members and sizes are checked when it is opened.
+    """An export opened for reading. Its members, their sizes and ``SHA256SUMS`` are checked when it is opened.
 
     Raises
     ------
@@ -190,7 +149,6 @@ class Export:
                 raise StoreError(
                     f"{path}: is not an export of records (not a ZIP file)", remedy="check the name"
                 )
-            self._check_seal()
             try:
                 self.zip = zipfile.ZipFile(
                     self._stream
@@ -198,7 +156,8 @@ class Export:
             except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
                 raise self._damaged(str(error)) from None
             self.members = self._checked_members()
-            self._check_manifest()
+            self._check_schema()
+            self._check_sums()
         except StoreError:
             self._stream.close()
             raise
@@ -245,13 +204,6 @@ class Export:
             else:
                 yield name, None if whole else self._damaged(f"file {name[:12]} was altered")
 
-    def _check_seal(self) -> None:
-        self._stream.seek(0)
-        digest = _sealed_digest(self._stream)
-        comment = self._stream.read()
-        if comment != SEAL + digest.encode():
-            raise self._damaged("its SHA-256 is not the one in its seal")
-
     def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
         members: dict[str, zipfile.ZipInfo] = {}
         for member in self.zip.infolist():
@@ -261,16 +213,25 @@ class Export:
             limit = (
                 _MAX_FILE if name.startswith("files/") else _MAX_SUMS if name == "SHA256SUMS" else MAX_DOCUMENT
             )
-            dense = member.file_size > (1 << 20) + MAX_RATIO * member.compress_size
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise self._damaged(f"member '{name}' is packed in a way that exports do not use")
-            if member.file_size > limit or member.flag_bits & 1 or (name.startswith("files/") and dense):
+            if member.file_size > limit or member.flag_bits & 1:
                 raise self._damaged(f"member '{name}' is larger than an export may hold")
             members[name] = member
         return members
 
-    def _check_manifest(self) -> None:
-        """Check that sums and manifest fit the members. The files themselves are checked when they are read."""
+    def _check_schema(self) -> None:
+        try:
+            schema = json_object(self._text("manifest.json")).get("schema")
+        except JsonError as error:
+            raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
+        if schema != SCHEMA:
+            raise StoreError(
+                f"{self.name}: export of schema '{str(schema)[:80]}'", remedy="a newer one needs a newer piga"
+            )
+
+    def _check_sums(self) -> None:
+        """Check that the sums fit the members. The files are checked when they are read, by their names."""
         digests = {
             name: name.removeprefix("files/") if name.startswith("files/") else sha256(self._text(name))
             for name in self.members
@@ -278,24 +239,6 @@ class Export:
         }
         if _listing(digests) != self._text("SHA256SUMS"):
             raise self._damaged("SHA256SUMS does not fit its members")
-        raw = self._text("manifest.json")
-        try:
-            document = json_object(raw)
-            schema = document.get("schema")
-            if schema != SCHEMA:
-                raise StoreError(
-                    f"{self.name}: export of schema '{str(schema)[:80]}'",
-                    remedy="a newer one needs a newer piga",
-                )
-            manifest = msgspec.convert(document, _Manifest)
-        except (JsonError, msgspec.ValidationError) as error:
-            raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
-        links = [name for name in self.members if name.startswith("links/")]
-        last = f"links/{len(links):08d}.json" if links else "store.json"
-        records = sum(name.startswith("records/") for name in self.members)
-        there = _Manifest(SCHEMA, manifest.software, records, len(links), digests.get(last, ""))
-        if manifest != there:
-            raise self._damaged("manifest.json does not fit its members")
 
     def _member(self, name: str) -> zipfile.ZipInfo:
         if name not in self.members:

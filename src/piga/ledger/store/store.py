@@ -296,29 +296,41 @@ class Store:
                     remedy="keep each calibration under its own instrument",
                 )
 
+    def amendable(self, name: str, serial: str) -> str:
+        """Name of a record that a new record of this instrument may supersede; ``name`` may be its number.
+
+        Raises
+        ------
+        StoreError, ArgumentError
+            If there is no such record, it is of another instrument, or it is superseded already.
+        """
+        with self.database.reading() as connection:
+            old = self._find(connection, name)
+            self._check_amended(connection, old.id, serial, old)
+            return old.id
+
     def _check_superseded(self, connection: sa.Connection, document: RecordDocument, name: str) -> None:
         row = connection.execute(sa.select(ENTRY).where(ENTRY.c.id == name)).one_or_none()
-        if row is not None:  # an export may leave out a record that another of its records amends
-            self._check_amended(connection, document, self._record(row))
-        same = sa.select(ENTRY).where(ENTRY.c.serial == document.serial)
-        for other in map(self._record, connection.execute(same)):
+        old = None if row is None else self._record(row)  # an export may leave out a record that another amends
+        self._check_amended(connection, name, document.serial, old)
+        if old and old.document.store != document.store and not self._is_own(connection, document):
+            raise ArgumentError(
+                f"supersedes: record {old.id} is not of the store that the record comes from",
+                remedy="a record is amended where it was written, or by this store",
+            )
+
+    def _check_amended(self, connection: sa.Connection, name: str, serial: str, old: Record | None) -> None:
+        if old is not None and old.document.serial != serial:
+            raise ArgumentError(
+                f"supersedes: record {name} is of instrument '{old.document.serial}', not '{serial}'",
+                remedy="name a record of the same instrument: piga records list",
+            )
+        for other in self._each(connection, serial):
             if other.document.supersedes == name:
                 raise ArgumentError(
                     f"supersedes: record {name} is superseded already, by {other.id}",
                     remedy=f"supersede {other.id}",
                 )
-
-    def _check_amended(self, connection: sa.Connection, document: RecordDocument, old: Record) -> None:
-        if old.document.serial != document.serial:
-            raise ArgumentError(
-                f"supersedes: record {old.id} is of instrument '{old.document.serial}', not '{document.serial}'",
-                remedy="name a record of the same instrument",
-            )
-        if old.document.store != document.store and not self._is_own(connection, document):
-            raise ArgumentError(
-                f"supersedes: record {old.id} is not of the store that the record comes from",
-                remedy="a record is amended where it was written, or by this store",
-            )
 
     def _is_own(self, connection: sa.Connection, document: RecordDocument) -> bool:
         """True if this store itself wrote the record, not an import."""

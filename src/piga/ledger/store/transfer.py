@@ -329,7 +329,9 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
     """
     operator, reason = checked_text("operator", operator), checked_text("reason", reason)
     with Export(path) as export:
-        _refuse_unsound(_checked(export), export.name)
+        checked = Verification(export.name)
+        check_chain(checked, export)
+        _refuse_unsound(checked, export.name)
         identity = export.identity().decode()
         added = []
         with store.database.writing() as connection:
@@ -401,55 +403,47 @@ def restore(source: Path, target: str | Path) -> Verification:
     StoreError
         If the backup is damaged or not complete, or the target exists already.
     """
+    result = Verification(str(target))
     with ExitStack() as stack:
         if is_export(source):
             origin: _Source = stack.enter_context(Export(source))
         else:
             old = stack.enter_context(Store(open_database(source)))
             origin = StoreSource(stack.enter_context(old.database.reading()))
-        result = _checked(origin)
-        _refuse_unsound(result, str(source))
         if is_url(target):
-            _restore_postgresql(origin, str(target))
+            store = stack.enter_context(Store(postgresql_database(str(target))))
+            with store.database.writing() as connection:
+                if schema_version(connection) != 0:
+                    raise StoreError(
+                        f"{store.name}: there is a store already", remedy="restore into an empty database"
+                    )
+                create_tables(connection, origin.identity())
+                _copy_chain(store, connection, origin, result)
         else:
             write_whole(
-                Path(target), lambda part: _restore_sqlite(origin, part), replace=False, kind=StoreError
+                Path(target), lambda part: _restore_sqlite(origin, part, result), replace=False, kind=StoreError
             )
-    restored = verify(target)
-    _refuse_unsound(restored, restored.name)
-    if restored.head != result.head:
-        raise StoreError(f"{target}: it ended with another head than {source}", remedy="restore again")
-    return restored
+    return result
 
 
-def _restore_sqlite(origin: _Source, part: Path) -> None:
+def _restore_sqlite(origin: _Source, part: Path, result: Verification) -> None:
     part.write_bytes(new_sqlite(origin.identity()))
     with Store(open_database(part)) as store, store.database.writing() as connection:
-        _copy_chain(store, connection, origin)
+        _copy_chain(store, connection, origin, result)
 
 
-def _restore_postgresql(origin: _Source, url: str) -> None:
-    with Store(postgresql_database(url)) as store, store.database.writing() as connection:
-        if schema_version(connection) != 0:
-            raise StoreError(f"{store.name}: there is a store already", remedy="restore into an empty database")
-        create_tables(connection, origin.identity())
-        _copy_chain(store, connection, origin)
-
-
-def _copy_chain(store: Store, connection: sa.Connection, origin: _Source) -> None:
+def _copy_chain(store: Store, connection: sa.Connection, origin: _Source, result: Verification) -> None:
+    """Copy a chain into an empty store, and check what was written before it is committed."""
     for entry in origin.entries():
-        document = _whole(entry)
-        _copy_files(connection, origin, document)
-        store.insert(connection, document, entry.link)
-
-
-def _whole(entry: Entry) -> bytes:
-    if entry.document is None:
-        raise StoreError(
-            f"the export lacks record {entry.number}",
-            remedy="restore from a backup, or import what is there",
-        )
-    return entry.document
+        if entry.document is None:
+            raise StoreError(
+                f"the export lacks record {entry.number}",
+                remedy="restore from a backup, or import what is there",
+            )
+        _copy_files(connection, origin, entry.document)
+        store.insert(connection, entry.document, entry.link)
+    check_chain(result, StoreSource(connection))
+    _refuse_unsound(result, "the copy")
 
 
 def _copy_files(connection: sa.Connection, origin: _Source, raw: bytes) -> RecordDocument:
@@ -471,12 +465,6 @@ def _has(connection: sa.Connection, raw: bytes) -> bool:
             remedy="one of the two was changed: run piga records verify on both",
         )
     return there is not None
-
-
-def _checked(source: _Source) -> Verification:
-    result = Verification("the source")
-    check_chain(result, source)
-    return result
 
 
 def _refuse_unsound(result: Verification, name: str) -> None:
