@@ -133,7 +133,7 @@ def _of_one_run(
 ) -> Calibration:
     """The result with what is found for a single run only: settings, comparison of models, leverage, missing terms, advice."""
     run, request = live.run, live.request
-    compared = compare_models(run).document() if run.model.compare else None
+    compared: Any = compare_models(run).document() if run.model.compare else None
     result = replace(
         result,
         phase_source=request.phase_source,

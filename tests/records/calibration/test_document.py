@@ -125,7 +125,24 @@ IMPOSSIBLE = [
     (lambda d: d["provenance"].update(created="yesterday"), "created.*'yesterday' is not a time"),
     (lambda d: d["diagnostics"].update(range={"a_x": "wide"}), "diagnostics.range"),
     (lambda d: d["uncertainty_budget"][0].update(contributions={"k0": "much"}), "uncertainty_budget"),
+    (lambda d: d["diagnostics"].update(variance=-1.0), "diagnostics.variance"),
+    (lambda d: d["diagnostics"].update(ljung_box_probability=7.0), "diagnostics.ljung_box_probability"),
+    (lambda d: d["diagnostics"].update(lag1_correlation=1e308), "diagnostics.lag1_correlation"),
+    (lambda d: d["segments"][0].update(rms=-1.0), "segments.*rms"),
+    (lambda d: d["segments"][0].update(mean_a_x=1e200), "segments.*mean_a_x"),
+    (lambda d: d["diagnostics"].update(model_comparison={"best": None}), "diagnostics.model_comparison"),
+    (lambda d: d.pop("surplus_observations"), "surplus_observations"),
 ]
+
+
+@pytest.mark.parametrize("number", ["NaN", "1e999", "-1e999", "Infinity"])
+@pytest.mark.parametrize("key", ["variance", "value"])
+def test_numbers_beyond_json(document: dict, tmp_path: Path, key: str, number: str) -> None:
+    path = tmp_path / "calibration.json"
+    document["diagnostics"]["variance"] = document["coefficients"][0]["value"] = 123.25
+    path.write_text(json.dumps(document).replace(f'"{key}": 123.25', f'"{key}": {number}'))
+    with pytest.raises(piga.CalibrationError, match="not a valid calibration record"):
+        piga.Calibration.from_json(path)
 
 
 @pytest.mark.parametrize(("change", "message"), IMPOSSIBLE)

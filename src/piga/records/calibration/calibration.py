@@ -28,6 +28,7 @@ from piga.records.calibration.coefficient import (
     rounded,
 )
 from piga.records.calibration.diagnostics import (
+    Count,
     Diagnostics,
     Outlier,
     Quality,
@@ -79,13 +80,13 @@ class RunRecord(Result):
     stand: str | None
     phases: str
     raw: bool
-    rows: int
-    angle_rms: float
-    angle_random_walk: float
-    residual_rms: float
-    residual_rms_before: float
-    residual_max_before: float
-    residual_max_after: float
+    rows: Count
+    angle_rms: Level
+    angle_random_walk: Level
+    residual_rms: Level
+    residual_rms_before: Level
+    residual_max_before: Level
+    residual_max_after: Level
     quality: Quality
     undetermined: tuple[str, ...] = ()
     input_sha256: dict[str, str] = field(default_factory=dict)
@@ -157,7 +158,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     method: str
     coefficients: tuple[Coefficient, ...]
     covariance: Array
-    surplus_observations: Level = math.inf
+    surplus_observations: Level
     angle_rms: Level
     angle_random_walk: Level
     residual_rms: Level

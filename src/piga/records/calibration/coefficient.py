@@ -54,7 +54,7 @@ class StandSource:
     name: str
     status: _SourceStatus
     unit: str = "1"
-    effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    effects: dict[str, dict[str, Number]] = field(default_factory=dict)
     reason: str = ""
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, Required, TypedDict
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from piga.records.calibration.coefficient import Number
+from piga.records.calibration.coefficient import Level, Number
 from piga.results import Array, Column, Plotted, Result, Tabular
 from piga.upper import doors
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from piga.reports.render.figure import Figure
 
 Count = Annotated[int, Meta(ge=0)]
-"""A number of rows or events. This limit and the next two are checked when a record is read."""
+"""A number of rows or events. Limits in types are checked when a record is read."""
+Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Event:
 
     kind: str
     count: Count
-    first_row: int | None = None
+    first_row: Count | None = None
     detail: str = ""
 
 
@@ -65,10 +66,10 @@ class Outlier:
     """
 
     kind: str
-    time: float
-    row: int
-    samples: int
-    size: float
+    time: Number
+    row: Count
+    samples: Count
+    size: Number
     run: str | None = None
 
 
@@ -80,13 +81,13 @@ class SegmentSummary:
     """
 
     label: str
-    rows: int
-    duration: float
-    mean_a_x: float
-    turns: float | None = field(default=None, kw_only=True)
-    rms: float
-    rms_before: float
-    max_after: float
+    rows: Count
+    duration: Level
+    mean_a_x: Number
+    turns: Number | None = field(default=None, kw_only=True)
+    rms: Level
+    rms_before: Level
+    max_after: Level
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,9 +139,9 @@ class SegmentLeverage(Result):
     coefficient is then not determined.
     """
 
-    leverage: float
-    share: dict[str, float]
-    shift: dict[str, float | None]
+    leverage: Level
+    share: dict[str, Number]
+    shift: dict[str, Number | None]
 
 
 @dataclass(frozen=True)
@@ -151,12 +152,12 @@ class MonteCarloCheck:
     symmetric Monte Carlo interval.
     """
 
-    mean: float
-    std: float
-    symmetric: tuple[float, float]
-    shortest: tuple[float, float]
-    first_order: tuple[float, float]
-    tolerance: float
+    mean: Number
+    std: Level
+    symmetric: tuple[Number, Number]
+    shortest: tuple[Number, Number]
+    first_order: tuple[Number, Number]
+    tolerance: Level
     validated: bool
 
 
@@ -164,7 +165,7 @@ class MonteCarloCheck:
 class MonteCarlo(Result):
     """Comparison of first-order and Monte Carlo propagation (JCGM 101, clause 8), by key of the coefficient."""
 
-    trials: int
+    trials: Count
     coefficients: dict[str, MonteCarloCheck]
 
 
@@ -187,15 +188,15 @@ class MissingTerm(Result):
     """
 
     terms: tuple[str, ...]
-    estimate: tuple[float, ...]
-    standard_uncertainty: tuple[float, ...]
+    estimate: tuple[Number, ...]
+    standard_uncertainty: tuple[Level, ...]
     unit: tuple[str, ...]
-    chi2_fall: float
-    probability: float
-    largest_shift: float
+    chi2_fall: Number
+    probability: Probability
+    largest_shift: Number
     coefficient: str
     alike: tuple[str, ...] = ()
-    scale_factor_under: dict[str, float] = field(default_factory=dict)
+    scale_factor_under: dict[str, Number] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -218,15 +219,15 @@ class Creep(Result):
         the positions, and half width of the 95 % interval by their scatter.
     """
 
-    size: float
-    standard_uncertainty: float
-    time_constant: float
+    size: Number
+    standard_uncertainty: Level
+    time_constant: Level
     by_move: bool
-    probability: float
-    shift: dict[str, float]
-    time: tuple[float, ...]
-    mean: tuple[float, ...]
-    band: tuple[float, ...]
+    probability: Probability
+    shift: dict[str, Number]
+    time: tuple[Number, ...]
+    mean: tuple[Number, ...]
+    band: tuple[Level, ...]
 
     @property
     def seen(self) -> bool:
@@ -252,14 +253,61 @@ class SegmentScatter:
     ``segment_scatter_g`` is the root mean square [g].
     """
 
-    segment_scatter_ratio: float | None = None
-    segment_scatter_g: float | None = None
-    segment_scatter_ratio_without_it: float | None = None
+    segment_scatter_ratio: Level | None = None
+    segment_scatter_g: Level | None = None
+    segment_scatter_ratio_without_it: Level | None = None
 
     @property
     def worst(self) -> float:
         """The larger ratio; 0 if there is none."""
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
+
+
+class ComparedCoefficient(TypedDict):
+    """A coefficient of a set, and its change against the best set."""
+
+    key: str
+    value: Number
+    std: Level
+    unit: str
+    change: Number | None
+
+
+class ComparedSet(TypedDict, total=False):
+    """One set of terms of a comparison. Numbers are missing where the record does not determine the set."""
+
+    terms: Required[list[str]]
+    reason: Required[str]
+    parameters: Count
+    chi_square: Number
+    chi_square_per_degree: Number
+    log_likelihood: Number
+    bic: Number
+    bic_above_best: Number
+    aic: Number
+    weight: Number
+    coefficients: list[ComparedCoefficient]
+    prediction_chi_square: Number
+    prediction_above_best: Number
+    prediction_standard_error: Number
+    prediction_force_error: Number
+
+
+class Comparison(TypedDict):
+    """The document of :class:`piga.calibration.ModelComparison`."""
+
+    treatment: str
+    noise_terms: list[str]
+    angle_rms: Level
+    angle_random_walk: Level
+    observations: Count
+    parts: Count
+    folds: Count
+    parted_by: Literal["segment", "block"]
+    best: list[str] | None
+    best_prediction: list[str] | None
+    notes: NotRequired[list[str]]
+    sets: list[ComparedSet]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -284,27 +332,27 @@ class Diagnostics(Result, SegmentScatter):
     monte_carlo:
         Comparison of Monte Carlo and first-order propagation.
     model_comparison:
-        Comparison of sets of terms: the document of :class:`piga.calibration.ModelComparison`.
+        Comparison of sets of terms.
     """
 
     residual_kind: Literal["angle", "rate", "count"] = "angle"
     range: dict[str, tuple[Number, Number]] = field(default_factory=dict)
-    samples: int | None = None
-    variance: float | None = None
-    lag1_correlation: float | None = None
-    ljung_box: float | None = None
-    ljung_box_lags: int | None = None
-    ljung_box_probability: float | None = None
-    counting_probability: float | None = None
-    skewness: float | None = None
-    excess_kurtosis: float | None = None
+    samples: Count | None = None
+    variance: Level | None = None
+    lag1_correlation: Number | None = None
+    ljung_box: Number | None = None
+    ljung_box_lags: Count | None = None
+    ljung_box_probability: Probability | None = None
+    counting_probability: Probability | None = None
+    skewness: Number | None = None
+    excess_kurtosis: Number | None = None
     verdict: str | None = None
     leverage: dict[str, SegmentLeverage] = field(default_factory=dict)
     advice: tuple[str, ...] = ()
     missing_terms: tuple[MissingTerm, ...] = ()
     creep: Creep | None = None
     monte_carlo: MonteCarlo | None = None
-    model_comparison: dict[str, Any] | None = None
+    model_comparison: Comparison | None = None
 
     def with_scatter(self, scatter: SegmentScatter) -> Diagnostics:
         """A copy with this scatter of the segments."""

@@ -30,6 +30,7 @@ from piga.records.calibration import (
     Quality,
 )
 from piga.records.calibration.coefficient import Level
+from piga.records.calibration.verdict import COUNTED
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of
@@ -294,6 +295,8 @@ def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
             yield f"the phase is 'shared', but '{k.key}' is of one segment"
     if max(c.quality.used, c.quality.masked) > c.quality.rows:
         yield "more rows are used or masked than the record has"
+    if c.diagnostics.verdict == COUNTED and c.diagnostics.counting_probability is None:
+        yield "diagnostics.counting_probability is missing"
     try:
         dt.datetime.fromisoformat(c.provenance.created)
     except ValueError:

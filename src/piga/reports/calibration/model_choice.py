@@ -17,7 +17,7 @@ _NUMBERED = tuple[int, dict[str, Any]]
 
 def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
     """The section of the report, if term sets were compared."""
-    document = cal.diagnostics.model_comparison
+    document: Any = cal.diagnostics.model_comparison
     if not document:
         return ()
     lead = (

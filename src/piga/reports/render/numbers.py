@@ -48,6 +48,10 @@ def _is_plain(leading: int, place: int) -> bool:
     return -3 <= leading < 6 and place <= 0
 
 
+_LEAST_RATIO = 1e-25
+"""Smallest ratio of an uncertainty to its value that is shown with it."""
+
+
 def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     r"""Round a value by its uncertainty.
 
@@ -68,7 +72,7 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
     """
     if not math.isfinite(value):
         return Rounded("not finite", "–", "not finite", "not finite")
-    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+    if not (math.isfinite(uncertainty) and uncertainty > _LEAST_RATIO * abs(value)):
         text = significant(value)
         return Rounded(text, "–", text, f"{text} ± –")
     number, spread = Decimal(repr(float(value))), Decimal(repr(float(uncertainty)))
