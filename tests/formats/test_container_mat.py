@@ -1,9 +1,8 @@
-"""Columns of MATLAB files of level 5: those that were written, of every kind, order of bytes and packing."""
+"""Columns of MATLAB files of level 5: structs, matrices, and sizes that cannot be."""
 
 from __future__ import annotations
 
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,63 +14,30 @@ from piga.formats.container import CONTAINERS
 from tests.records.containers import whole
 
 ROWS = 300
-KINDS = {"u1": 2, "i2": 3, "i4": 5, "f4": 7, "f8": 9, "i8": 12}
-VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS))
+VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS)) + 0.5
 
 
 def read(path: Path, numeric: tuple[str, ...], label: str | None = None) -> dict[str, np.ndarray]:
     return whole(CONTAINERS[".mat"](path, numeric, label)).numbers
 
 
-def element(order: str, kind: int, data: bytes) -> bytes:
-    if 0 < len(data) <= 4:
-        return struct.pack(order + "I", len(data) << 16 | kind) + data.ljust(4, b"\0")
-    return struct.pack(order + "II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
-
-
-def matrix(order: str, name: str, values: np.ndarray, kind: int = 6) -> bytes:
-    """An array of class double, stored as narrow as its values are."""
-    stored = values.T.astype(values.dtype.newbyteorder(order)).tobytes()
-    body = element(order, 6, struct.pack(order + "II", kind, 0))
-    body += element(order, 5, struct.pack(f"{order}{values.ndim}i", *values.shape))
-    body += element(order, 1, name.encode()) + element(order, KINDS[values.dtype.str[1:]], stored)
-    return struct.pack(order + "II", 14, len(body)) + body
-
-
-def written(path: Path, order: str, packed: bool, *arrays: bytes) -> Path:
-    """A file of level 5 by the published format."""
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(order + "HH", 0x0100, 0x4D49)
-    if packed:
-        arrays = tuple(struct.pack(order + "II", 15, len(data)) + data for data in map(zlib.compress, arrays))
-    path.write_bytes(head + b"".join(arrays))
-    return path
-
-
-@pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("shape", [(ROWS, 1), (1, ROWS), (ROWS // 3, 3), (1, 1)])
-def test_columns_are_those_that_were_written(
-    tmp_path: Path, order: str, packed: bool, kind: str, shape: tuple[int, int]
-) -> None:
-    values = VALUES.astype(kind)[: shape[0] * shape[1]].reshape(shape)
-    other = matrix(order, "other", VALUES.reshape(-1, 1))
-    path = written(tmp_path / "a.mat", order, packed, other, matrix(order, "x", values))
+def test_columns_are_those_that_were_written(tmp_path: Path, packed: bool, shape: tuple[int, int]) -> None:
+    values = VALUES[: shape[0] * shape[1]].reshape(shape)
+    savemat(tmp_path / "a.mat", {"other": VALUES, "x": values}, do_compression=packed)
     columns = {"x(:,1)": values[:, 0], f"x(:,{shape[1]})": values[:, -1]}
-    if 1 in shape:
-        columns["x"] = values.reshape(-1)
+    columns |= {"x": values.reshape(-1)} if 1 in shape else {}
     for name, values_of in columns.items():
-        column = read(path, (name,))[name]
-        np.testing.assert_array_equal(column, values_of.astype(float))
+        np.testing.assert_array_equal(read(tmp_path / "a.mat", (name,))[name], values_of)
     if 1 not in shape:
         with pytest.raises(DataError, match="a column is needed"):
-            read(path, ("x",))
+            read(tmp_path / "a.mat", ("x",))
 
 
-@pytest.mark.parametrize("packed", [False, True])
-def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
+def test_fields_of_structs(tmp_path: Path) -> None:
     log = {"t": VALUES, "inner": {"n": np.arange(ROWS), "words": "text"}, "f": np.outer(VALUES, [1.0, 2.0])}
-    savemat(tmp_path / "a.mat", {"first": VALUES, "log": log}, do_compression=packed)
+    savemat(tmp_path / "a.mat", {"first": VALUES, "log": log})
     columns = read(tmp_path / "a.mat", ("log.t", "log.inner.n", "log.f(:,2)"))
     np.testing.assert_array_equal(columns["log.t"], VALUES)
     np.testing.assert_array_equal(columns["log.inner.n"], np.arange(ROWS))
@@ -82,11 +48,12 @@ def test_fields_of_structs(tmp_path: Path, packed: bool) -> None:
 
 
 def test_declared_sizes_beyond_the_file(tmp_path: Path) -> None:
-    whole = written(tmp_path / "a.mat", "<", False, matrix("<", "x", VALUES.reshape(-1, 1))).read_bytes()
-    at = whole.index(struct.pack("<II", 9, 8 * ROWS))
+    path = tmp_path / "a.mat"
+    savemat(path, {"x": VALUES.reshape(-1, 1)})
+    written = path.read_bytes()
+    at = written.index(struct.pack("<II", 9, 8 * ROWS))
     for rows in (1 << 28, ROWS + 1):
-        longer = whole[:at] + struct.pack("<II", 9, 8 * rows & 0xFFFFFFFF) + whole[at + 8 :]
-        longer = longer.replace(struct.pack("<ii", ROWS, 1), struct.pack("<ii", rows, 1))
-        (tmp_path / "a.mat").write_bytes(longer)
+        longer = written[:at] + struct.pack("<II", 9, 8 * rows & 0xFFFFFFFF) + written[at + 8 :]
+        path.write_bytes(longer.replace(struct.pack("<ii", ROWS, 1), struct.pack("<ii", rows, 1)))
         with pytest.raises(DataError):
-            CONTAINERS[".mat"](tmp_path / "a.mat", ("x",), None)
+            CONTAINERS[".mat"](path, ("x",), None)

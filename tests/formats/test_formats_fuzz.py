@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import warnings
@@ -133,19 +132,16 @@ def _folder(factory: pytest.TempPathFactory) -> Path:
 FOLDER = Path(__file__).parent / "findings"
 
 
-COLUMNS = ("t", "n", "fx", "fy", "fz")
-
-
 def read(path: Path) -> object:
     if path.suffix == ".json":
         return piga.Calibration.from_json(path)
     if path.suffix == ".toml":
         return read_run_file(path)
     if path.suffix == ".csv":
-        return list(TextStream(path, COLUMNS, None).chunks())
+        return list(TextStream(path, NAMES, None).chunks())
     if path.suffix == ".parquet":
-        return list(ParquetStream(path, COLUMNS, None).chunks())
-    return CONTAINERS[path.suffix](path, COLUMNS, None)
+        return list(ParquetStream(path, NAMES, None).chunks())
+    return CONTAINERS[path.suffix](path, NAMES, None)
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)
@@ -153,12 +149,3 @@ def test_refused_with_a_remedy(path: Path) -> None:
     with pytest.raises(piga.PigaError) as caught:
         read(path)
     assert caught.value.remedy
-
-
-def test_ragged_covariance(tmp_path: Path) -> None:
-    document = json.loads((FOLDER / "unit.json").read_text(encoding="utf-8"))
-    document["covariance"]["matrix"] = [[1.0], [1.0, 2.0]]
-    path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(document))
-    with pytest.raises(piga.CalibrationError, match="square matrix"):
-        read(path)

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import functools
 import gzip
-import io
 import random
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -193,18 +191,10 @@ def shape() -> list[Case]:
         error("mat-damaged", b"MATLAB 5.0 MAT-file".ljust(126) + b"IM" + whole, "not a readable MATLAB", file="run.mat"),
         error("tdms-damaged", b"TDSm" + whole, "no column 'n'; the columns are: none|not a readable TDMS", file="run.tdms"),
         error("xlsx-damaged", b"PK\x03\x04" + whole, "not a readable XLSX", file="run.xlsx"),
-        error("xlsx-bomb", _zip_bomb(), "100 times", file="run.xlsx"),
         error("xls", whole, "save it as .xlsx", file="run.xls"),
         error("unknown-kind", whole, "files of kind '.doc'", file="run.doc"),
         error("sheet-of-a-text", whole, r"sheet is for \.xlsx files", data='sheet = "log"'),
     ]  # fmt: skip
-
-
-def _zip_bomb() -> bytes:
-    memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as out:
-        out.writestr("xl/worksheets/sheet1.xml", bytes(64 << 20))
-    return memory.getvalue()
 
 
 def signals() -> list[Case]:

@@ -2,10 +2,8 @@
 
 from piga.describe.columns import ColumnGuess
 from piga.describe.draft import Question, RunFileDraft, setting
-from piga.describe.layout import Guess
-from piga.describe.log import LogDescription, describe_log
-from piga.describe.run_file import draft_run_file, try_run_file
-from piga.describe.suggestions import Suggestion, suggestions
+from piga.describe.log import Guess, LogDescription, describe_log
+from piga.describe.run_file import Suggestion, draft_run_file, suggestions, try_run_file
 
 __all__ = [
     "ColumnGuess",

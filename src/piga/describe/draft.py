@@ -16,7 +16,7 @@ from importlib.resources import files
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from piga.describe.layout import Guess
+from piga.describe.log import Guess
 from piga.errors import ArgumentError, UnitError
 from piga.records.text_files import si_unit, structs_in, toml_text, toml_value
 from piga.units import to_si

@@ -1,4 +1,4 @@
-"""Describe a log: its layout and the content of every column. Only the log is needed."""
+"""Describe a log: its layout and the content of every column. Only the log is needed, and no column name is known."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +15,30 @@ from piga.describe.columns import (
     TOLD,
     ColumnGuess,
     as_told,
+    fact,
     guess_columns,
     kind_of_name,
     known_names,
+    known_unit,
     without_fills,
 )
-from piga.describe.layout import Guess, TextLayout, text_layout
 from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
-from piga.formats.text.convention import HeadRows, units_in_names
-from piga.formats.text.reader import TextStream, is_number
+from piga.formats.text.convention import (
+    COMMENT,
+    INFINITE,
+    MISSING,
+    NO_UNIT,
+    HeadRows,
+    find_format,
+    joined_names,
+    lines_of,
+    split_line,
+    unit_text,
+    units_in_names,
+)
+from piga.formats.text.reader import TextStream, is_number, split_cells
+from piga.formats.text.source import GUESSED, TextSource
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.results import Array
@@ -263,3 +278,235 @@ def _refusal(path: Path, sheet: str | None) -> DataError | None:
     except DataError as error:
         return error
     return None
+
+
+# -- layout of a text log --------------------------------------------------------------------------------
+
+_MOST_HEAD_LINES = 400
+"""Lines of the head that are examined."""
+SEPARATORS = ("\t", ";", "|", ",", " ")
+"""Separators that are tried, the likelier ones first. A blank stands for any number of blanks and tabs."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+_EMPTY = {*MISSING, *INFINITE}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A value, the reason for it in a few words, and the ``alternatives``, likelier ones first."""
+
+    value: Any
+    reason: str
+    alternatives: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """Layout of a text log. Rows are counted from 1.
+
+    ``header_row`` is a pair where the names stand over two rows; False if no row holds names: the columns are then A, B, C.
+    ``skip_rows``: lines before the numbers of such a file. ``marked``: the row of the names begins with the mark of a comment.
+    ``facts`` are keys of the run file that the preamble gives.
+    """
+
+    encoding: Guess
+    separator: Guess
+    decimal: Guess
+    header_row: Guess
+    units_row: Guess
+    names: tuple[str, ...]
+    units: dict[str, str]
+    sample: dict[str, list[str]]
+    facts: dict[str, Guess]
+    marked: bool = False
+    skip_rows: int = 0
+
+
+def text_layout(path: Path) -> TextLayout:
+    """Guess the layout of a text log from its first lines."""
+    source = TextSource(path, None)
+    tried = [source.encoding]
+    if source.encoding in GUESSED:
+        tried = [source.encoding, *(one for one in GUESSED if one != source.encoding)]
+    layouts = []
+    for encoding in tried:
+        try:
+            head = TextSource(path, encoding).head.decode("utf-8", errors="replace")
+        except DataError:
+            continue
+        layouts.append(_layout(head, path, encoding))
+    best = max(layouts, key=lambda one: known_names(one.names))
+    encoding = best.encoding.value
+    if len(tried) == 1:
+        why = "the file has a byte-order mark" if encoding not in ("utf-8", "ascii") else "all bytes are UTF-8"
+        guess = Guess(encoding, why)
+    else:
+        others = tuple(one.encoding.value for one in layouts if one is not best)
+        guess = Guess(
+            encoding, "the bytes are not UTF-8, and the column names are words in this encoding", others
+        )
+    return replace(best, encoding=guess)
+
+
+@dataclass(frozen=True)
+class _TextTable:
+    """A table of numbers in some lines: its separator, first data line, cells of a line, rows, and cells that are values."""
+
+    separator: str
+    start: int
+    width: int
+    rows: int
+    values: int
+
+
+def _layout(head: str, path: Path, encoding: str) -> TextLayout:
+    lines = lines_of(head)[:_MOST_HEAD_LINES]
+    tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
+    if not tables:
+        raise DataError(
+            f"{path}: no table of numbers in the first {len(lines)} rows",
+            remedy="check that this is the log; columns are separated by ; , | a tab or blanks",
+        )
+    table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.values))
+    header, units_at = _heads(lines, table)
+    upper = None if header is None else _upper(lines, header, table)
+    body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
+    decimal = _decimal(body, table.separator)
+    skip = table.start if header is None else 0
+    names_at = False if header is None else header + 1 if upper is None else (upper + 1, header + 1)
+    rows = HeadRows(skip, names_at, False if units_at is None else units_at + 1)
+    form = find_format(head, path, encoding, table.separator, decimal.value, rows)
+    names, units = form.names, form.units
+    sample = {
+        name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
+        for k, name in enumerate(names)
+        if name
+    }
+    above = table.start if header is None else header if upper is None else upper
+    skipped = (
+        "" if above == 0 else f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble"
+    )
+    head_guess = (
+        Guess(False, f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}")
+        if header is None
+        else Guess(names_at, f"the first row above the numbers with {len(names)} names{skipped}")
+        if upper is None
+        else Guess(names_at, "the names stand over two rows")
+    )
+    units_guess = (
+        Guess(False, "the numbers begin below the names")
+        if units_at is None
+        else Guess(units_at + 1, "it holds units and no numbers")
+    )
+    shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
+    separator = Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each")
+    facts = _facts(lines[:above])
+    marked = header is not None and _bare(lines[header]) != lines[header]
+    read_as = Guess(encoding, "")
+    return TextLayout(
+        read_as, separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip
+    )
+
+
+def _bare(line: str) -> str:
+    """A line without the mark of a comment at its start."""
+    return COMMENT.sub("", line)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    cells = split_cells(line.rstrip("\r\n"), separator) if separator != " " else None
+    return [cell.strip().strip('"').strip() for cell in cells or split_line(line, separator)]
+
+
+def _is_value(cell: str) -> bool:
+    return bool(cell in _EMPTY or _NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell) or forms_of([cell]))
+
+
+_LEAST_ABOVE = 3
+"""Rows of numbers above a damaged row that show that the table goes on there."""
+
+
+def _table(lines: list[str], separator: str) -> _TextTable | None:
+    """The rows at the end of the head that this separator splits into the same number of cells, most of them numbers.
+
+    A single damaged row does not end the table if rows of numbers stand above it.
+    """
+    filled = [index for index, line in enumerate(lines) if line.strip()]
+    width, start, rows, values = 0, 0, 0, 0
+    for place in range(len(filled) - 1, -1, -1):
+        index = filled[place]
+        cells = _cells(lines[index], separator)
+        fits = _is_row(cells)
+        if fits and rows == 0:
+            width = len(cells)
+        if not fits or (rows > 1 and abs(len(cells) - width) > 1):
+            if rows < 2 and index > len(lines) - 4:  # a cut or damaged last row
+                rows, width, values = 0, 0, 0
+                continue
+            above = [_cells(lines[k], separator) for k in filled[max(place - _LEAST_ABOVE, 0) : place]]
+            if len(above) == _LEAST_ABOVE and all(_is_row(row, width, empty=False) for row in above):
+                continue
+            break
+        width, start, rows = (len(cells) if rows == 1 else width), index, rows + 1
+        values += sum(map(_is_value, cells))
+    return _TextTable(separator, start, width, rows, values) if rows >= 2 else None
+
+
+def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -> bool:
+    """True if at least half of the cells are values and one is a number. ``empty``: empty cells count as values."""
+    numbers = sum(_is_value(cell) and cell not in _EMPTY for cell in cells)
+    values = sum(_is_value(cell) for cell in cells) if empty else numbers
+    return 2 * values >= len(cells) and numbers > 0 and width in (None, len(cells))
+
+
+def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]:
+    """Rows of the names and of the units above the first data row (0-based)."""
+    above = [k for k in range(table.start) if lines[k].strip()]
+    wide = [k for k in above[-3:] if abs(len(_cells(_bare(lines[k]), table.separator)) - table.width) <= 1]
+    if not wide or wide[-1] != above[-1]:
+        return None, None
+    last = _cells(lines[wide[-1]], table.separator)
+    marks = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
+    bracketed = all(re.fullmatch(r"[\[(（].*[\])）]", cell) or cell in NO_UNIT for cell in last)
+    names = known_names(last)
+    if (
+        len(wide) > 1
+        and wide[-2] == above[-2]
+        and any(known_unit(unit_text(cell)) for cell in last)
+        and not any(units_in_names((cell,))[1] for cell in last)  # name (unit)
+        and (bracketed or (2 * len(marks) >= len(last) and len(marks) > names))
+    ):
+        return wide[-2], wide[-1]
+    return wide[-1], None
+
+
+def _upper(lines: list[str], header: int, table: _TextTable) -> int | None:
+    """The row above the names, if the names say more together with it: ``Force`` over ``X``, ``Y``, ``Z``."""
+    if header == 0:
+        return None
+    cells = tuple(_cells(_bare(lines[header]), table.separator))
+    above = tuple(_cells(_bare(lines[header - 1]), table.separator))
+    joined = joined_names(above, cells)
+    alone, together = (known_names(units_in_names(names)[0]) for names in (cells, joined))
+    each = len(above) == len(cells) and all(cell and not _is_value(cell) for cell in above)
+    return header - 1 if 1 < len(above) <= len(cells) and together >= alone + (not each) else None
+
+
+def _decimal(body: list[list[str]], separator: str) -> Guess:
+    cells = [cell for row in body for cell in row]
+    commas = [cell for cell in cells if _COMMA.fullmatch(cell)]
+    if separator == "," or not commas:
+        return Guess(
+            ".", "the numbers have a point" if any("." in cell for cell in cells) else "no number has decimals"
+        )
+    unsure = all(re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)
+    return Guess(",", f"numbers such as {commas[0]}", (".",) if unsure else ())
+
+
+def _facts(lines: list[str]) -> dict[str, Guess]:
+    facts: dict[str, Guess] = {}
+    for number, line in enumerate(lines, start=1):
+        read = fact(line)
+        if read is not None:
+            facts[read[0]] = Guess(read[1], f"row {number}: '{' '.join(line.split())[:60]}'")
+    return facts

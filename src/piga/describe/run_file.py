@@ -1,23 +1,28 @@
-"""Draft a run file from the description of a log. Every guessed line has its reason and its alternatives."""
+"""Draft a run file from the description of a log, and find the lines that repair a run file.
+
+Every guessed line has its reason and its alternatives. Every line of a repair is tried before it is given.
+"""
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import WORDS, ColumnGuess, Values
+from piga.describe.columns import UNITS, WORDS, ColumnGuess, Values, kind_of_name, plain
 from piga.describe.draft import RunFileDraft, number_in
-from piga.describe.layout import Guess
-from piga.describe.log import LogDescription
+from piga.describe.log import Guess, LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
-from piga.errors import DataError
+from piga.errors import DataError, PigaError
 from piga.records.run import Run
-from piga.records.text_files import toml_value
+from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
 from piga.results import Array
 from piga.stand.run_reference import read_run
 from piga.units import parse_unit
@@ -186,3 +191,213 @@ def _fills(draft: RunFileDraft, log: LogDescription) -> None:
         marks = ", ".join(f"{value:g} in {name}" for name, value in fills.items())
         words = list(dict.fromkeys(f"{value:g}" for value in fills.values()))
         draft.put("data.missing", words, f"the log writes {marks} for a missing value: such rows are left out")
+
+
+# -- repairs ---------------------------------------------------------------------------------------------
+
+_STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
+
+
+_PROBLEMS = 8
+"""Most problems that are solved one after the other."""
+_ROWS = 100_000
+"""Rows on which a unit is judged."""
+_RATIO = 1.5
+"""Largest ratio of the output to that of the nominal scale factor."""
+_TRIED: dict[str, tuple[Any, ...]] = {
+    "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
+    "counter_bits": (16, 24, 32),
+}
+"""Values that are tried for a key whose value an error leaves open."""
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A line for a table of the run file, and the reason. It replaces a line with the same key."""
+
+    table: str
+    line: str
+    reason: str
+
+
+Document = Mapping[str, Any]
+Change = tuple[str, str, Any, str]
+"""Table, key, value and reason of a change of the run file."""
+
+
+def suggestions(path: Path) -> list[Suggestion]:
+    """Lines that solve what is open with a run file. Every line was put into the file, and the log was read again.
+
+    A line that leads to another problem is kept if further lines solve that one. If only one of several lines lets the
+    log be read, the others are left out. The list is empty if no lines let the log be read.
+    """
+    try:
+        raw = toml_bytes(path)
+        document: Document = toml_document(path, raw)
+    except PigaError:
+        return []
+    kept: list[Change] = []
+    for _ in range(_PROBLEMS):
+        outcome = _read(path, document)
+        working = _working(path, document, outcome)
+        new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
+        if not new:
+            break
+        kept += new
+        document = _changed(document, new[0])
+    if isinstance(_read(path, document), PigaError):
+        return []
+    return [
+        Suggestion(table, f"{toml_key(written_key(raw, table, key))} = {_shown(value)}", reason)
+        for table, key, value, reason in kept
+    ]
+
+
+def _shown(value: Any) -> str:
+    """A value with single quotes, as in the messages."""
+    text = toml_value(value)
+    return text if "'" in text or "\\" in text else text.replace('"', "'")
+
+
+def _read(path: Path, document: Document) -> Run | PigaError:
+    try:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return read_run(path, content=toml_text(document).encode())
+    except PigaError as error:
+        return error
+
+
+def _working(path: Path, document: Document, before: Run | PigaError) -> list[Change]:
+    """The changes with which the log can be read, or else those that lead to another problem."""
+    changes = _of_error(before, document) if isinstance(before, PigaError) else _of_run(before, document)
+    read, other = [], []
+    unique = {
+        (table, key, toml_value(value)): (table, key, value, why) for table, key, value, why in changes[::-1]
+    }
+    for change in reversed(unique.values()):
+        after = _read(path, _changed(document, change))
+        if isinstance(after, Run):
+            if isinstance(before, PigaError) or _settles(change, before, after):
+                read.append(change)
+        elif isinstance(before, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet":
+            other.append(change)
+    return read or other
+
+
+def _problem(error: PigaError) -> str:
+    """The message of an error without the columns, whose letters depend on the encoding."""
+    return error.message.partition("; the columns are")[0]
+
+
+_SETTLED = {
+    "range": "stuck-value",
+    "unit": "implausible-unit",
+    "reference": "implausible-unit",
+    "output": "implausible-unit",
+}
+
+
+def _settles(change: Change, before: Run, after: Run) -> bool:
+    """True if a change of a readable record removes the finding it is for, or states what was guessed."""
+    kind = _SETTLED.get(change[1])
+    kinds = [event.kind for event in after.quality.events]
+    if kind == "implausible-unit" and not _plausible(after):
+        return False
+    return kind not in kinds if kind else after.size >= before.size
+
+
+def _plausible(run: Run) -> bool:
+    """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
+    some = slice(0, min(run.size, _ROWS))
+    a_x, t = run.f[some, 0], run.t[some]
+    if run.kind == "rate":
+        turned, force = run.output[some], a_x
+    else:
+        inside = ~run.begins[some][1:]
+        turned, force = (np.diff(run.output[some]) / np.diff(t))[inside], a_x[1:][inside]
+    strong = np.abs(force) > 0.2 * np.abs(force).max(initial=0.0)
+    if not strong.any():
+        return False
+    ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
+    return 1.0 / _RATIO < ratio < _RATIO
+
+
+def _changed(document: Document, change: Change) -> dict[str, Any]:
+    table, key, value, _ = change
+    return {**document, table: {**document.get(table, {}), key: value}}
+
+
+def _of_error(error: PigaError, document: Document) -> list[Change]:
+    """The keys that an error names, with their values or those that are tried; and names of columns that are nearly those."""
+    first = error.message.split(": ", 1)[-1][:160]
+    reasons = {"sheet": "one of the sheets", "counter_bits": "if the counter wraps at that width"}
+    words = document.get("data", {}).get("missing", [])
+    changes = [
+        (fix.table, fix.key, [*words, *value] if fix.key == "missing" else value, reasons.get(fix.key, first))
+        for fix in error.fixes
+        for value in (_TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
+    ]
+    if error.columns and error.where is not None:
+        changes += _of_names(error.where.columns, error.columns, document)
+    return changes
+
+
+def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document) -> list[Change]:
+    """Keys of ``[data]`` with a similar name in place of each that is not there, all at once."""
+    near = {name: similar for name in missing if (similar := _similar_name(name, columns)) is not None}
+    data = document.get("data", {})
+    changes: list[Change] = []
+    for key, value in data.items():
+        renamed = _renamed(value, near) if key not in ("file", "missing") else value
+        if renamed != value:
+            reason = ", ".join(
+                f"instead of '{name}', which is not in the file" for name in near if name in toml_value(value)
+            )
+            changes.append(("data", key, renamed, reason))
+    return changes
+
+
+def _renamed(value: Any, near: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return near.get(value, value)
+    if isinstance(value, Mapping):
+        return {
+            near.get(key, key): _renamed(part, near) if key in ("column", "columns") else part
+            for key, part in value.items()
+        }
+    return [_renamed(part, near) for part in value] if isinstance(value, list) else value
+
+
+def _of_run(run: Run, document: Document) -> list[Change]:
+    changes: list[Change] = []
+    data = document.get("data", {})
+    for event in run.quality.events:
+        stuck = _STUCK.search(event.detail)
+        if stuck:
+            name, side, value = stuck.groups()
+            limits = [-1e30, float(value)] if side == "largest" else [float(value), 1e30]
+            changes.append(("data", "range", {**data.get("range", {}), name: limits}, event.detail))
+        if event.kind == "phase-lost" and document.get("model", {}).get("phases") != "per-segment":
+            changes.append(("model", "phases", "per-segment", "the zero of the output angle was lost"))
+        if event.kind == "encoding" and "encoding" not in data:
+            changes.append(("data", "encoding", event.detail.split()[-1], "to fix what was detected"))
+        if event.kind == "implausible-unit":
+            key = "reference" if "|f|" in event.detail else "output"
+            table = data.get(key)
+            if isinstance(table, Mapping) and "unit" in table:
+                kind = "rate" if table.get("kind") == "rate" else "angle"
+                units = UNITS["force" if key == "reference" else kind]
+                others = (unit for unit in units if unit != table["unit"])
+                changes += [("data", key, {**table, "unit": unit}, event.detail) for unit in others]
+    return changes
+
+
+def _similar_name(name: str, columns: Sequence[str]) -> str | None:
+    """The most probable column: equal apart from unit, character width and case, of the same kind, or nearly equal."""
+    names = {plain(column): column for column in columns}
+    if plain(name) in names:
+        return names[plain(name)]
+    kind = kind_of_name(name)
+    same = [column for column in columns if kind_of_name(column) == kind] if kind[0] != "other" else []
+    near = [names[one] for one in difflib.get_close_matches(plain(name), list(names), n=1)]
+    return next(iter([*same, *near]), None)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
 from piga.describe.draft import HEIGHT, RunFileDraft, number_in
-from piga.describe.layout import Guess
-from piga.describe.log import LogDescription
+from piga.describe.log import Guess, LogDescription
 from piga.errors import ArgumentError, UnitError
 from piga.reading.checks import positions
 from piga.results import Array

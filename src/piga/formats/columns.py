@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, Fix, PigaError, Where, install_command
 from piga.records.calibration import Event
-from piga.records.limits import check_regular, check_unpacked, first_line
+from piga.records.limits import check_regular, first_line
 from piga.results import Column, arrow_table
 
 CHUNK_ROWS = 1 << 16
@@ -354,10 +354,6 @@ class Container(TableStream):
     ) -> DataError:
         """The error of the file: :func:`refusal`."""
         return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
-
-    def check_unpacked(self, size: int) -> None:
-        """Refuse a part of the file that unpacks to too much [bytes]."""
-        check_unpacked(self.path, size, self.path.stat().st_size)
 
     def vector(self, name: str, values: NDArray) -> NDArray:
         """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.formats.columns import Container, label_text, matrix_columns, no_column, split_name
 from piga.formats.xlsx import Xlsx
-from piga.records.limits import open_regular
+from piga.records.limits import check_unpacked, open_regular
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
@@ -63,7 +63,7 @@ class Hdf5(Container):
         plain, kind, matlab = split_name(name)[0], item.dtype, _class(item)
         self._check_storage(item, plain)
         text = h5py.check_string_dtype(kind) is not None
-        self.check_unpacked(int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
+        check_unpacked(self.path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
         if text:
             return self.vector(name, np.asarray(item.asstr(errors="replace")[...], dtype=str))
         if matlab == "cell" and h5py.check_ref_dtype(kind) is h5py.Reference:
@@ -179,7 +179,7 @@ class Mat(Hdf5):
 
         shapes = {name: shape for name, shape, _ in whosmat(self.path)}
         for name in shapes if names is None else set(names) & set(shapes):
-            self.check_unpacked(8 * math.prod(shapes[name]))
+            check_unpacked(self.path, 8 * math.prod(shapes[name]))
         variables = loadmat(self.path, variable_names=names, chars_as_strings=True, struct_as_record=True)
         return {name: variables.get(name) for name in shapes}
 
@@ -249,9 +249,9 @@ class Tdms(Container):
         column = self._find(name)
         if isinstance(column, tuple):
             start, step, count = column
-            self.check_unpacked(8 * count)
+            check_unpacked(self.path, 8 * count)
             return start + step * np.arange(count)
-        self.check_unpacked(8 * len(column))
+        check_unpacked(self.path, 8 * len(column))
         return np.asarray(column[:])
 
 

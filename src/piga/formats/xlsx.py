@@ -26,7 +26,7 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.reader import Fault, Faults, missing_hint
 from piga.records.calibration import Event
-from piga.records.limits import open_regular
+from piga.records.limits import check_unpacked, open_regular
 
 _MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
@@ -68,7 +68,7 @@ class Xlsx(Container):
         """Formulas and hidden rows. The size that a part declares is never exceeded by :mod:`zipfile`."""
         with zipfile.ZipFile(stream) as container:
             parts = container.infolist()
-            self.check_unpacked(sum(part.file_size for part in parts))
+            check_unpacked(self.path, sum(part.file_size for part in parts))
             sheets = [container.read(one) for one in parts if one.filename.startswith("xl/worksheets/")]
         stream.seek(0)
         counts = {kind: sum(len(mark.findall(one)) for one in sheets) for kind, (mark, _) in _NOTED.items()}

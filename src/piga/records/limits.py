@@ -11,10 +11,6 @@ from piga.errors import DataError, PigaError, Where
 
 _MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
-MAX_RATIO = 100
-"""Largest ratio of unpacked to packed size, applied above :data:`_FREE_UNPACKED`."""
-_FREE_UNPACKED = 32 << 20
-"""Unpacked size [bytes] up to which any ratio is accepted, because constant columns pack very well."""
 LARGEST_SAMPLE = 1e30
 """Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
 MAX_SEGMENTS = 100_000
@@ -106,14 +102,9 @@ def first_line(error: BaseException) -> str:
     return text.splitlines()[0] if text else type(error).__name__
 
 
-def check_unpacked(path: Path, unpacked: int, packed: int) -> None:
+def check_unpacked(path: Path, unpacked: int) -> None:
     """Refuse a container whose unpacked size is too large, with a :class:`DataError` that states the limit."""
     if unpacked > _MAX_UNPACKED:
         raise DataError(
             f"{path}: unpacks to more than {_MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"
-        )
-    if unpacked > _FREE_UNPACKED and unpacked > MAX_RATIO * packed:
-        raise DataError(
-            f"{path}: unpacks to more than {MAX_RATIO} times its size",
-            remedy="if the file is trusted, export it as Parquet",
         )

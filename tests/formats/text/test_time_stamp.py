@@ -71,13 +71,14 @@ def log(folder: Path, cells: list[str]) -> Path:
     return path
 
 
-def test_zones_and_pieces(tmp_path: Path) -> None:
+def test_zones_and_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cells = [f"2026-03-29T01:59:5{k}.5+01:00" for k in range(10)] + [
         f"2026-03-29T03:00:0{k}.5+02:00" for k in range(10)
     ]
     path = log(tmp_path, cells)
-    for piece in (None, 100):
-        stream = TextStream(path, ("time", "n"), None, stamp=("time", "iso"), piece=piece)
+    for piece in (1 << 20, 100):
+        monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", piece)
+        stream = TextStream(path, ("time", "n"), None, stamp=("time", "iso"))
         t = np.concatenate([chunk.numbers["time"] for chunk in stream.chunks()])
         np.testing.assert_allclose(t, 3590.5 + np.arange(20), atol=1e-9)
 

@@ -56,8 +56,6 @@ class TextStream(RecordStream):
         Further words that mean a missing value.
     mask_damaged:
         Leave damaged rows out and count them by kind, instead of refusing the file.
-    piece:
-        Bytes read at a time (None: ``source.PIECE_BYTES``). The result does not depend on it.
 
     Raises
     ------
@@ -78,12 +76,11 @@ class TextStream(RecordStream):
         stamp: tuple[str, str] | None = None,
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
-        piece: int | None = None,
     ) -> None:
         super().__init__(path, numeric, label)
         self._empty = {*MISSING, *INFINITE, *missing}
         rows = rows or HeadRows()
-        self._source = TextSource(path, encoding, piece, wanted=self.wanted, first_rows=rows.last)
+        self._source = TextSource(path, encoding, wanted=self.wanted, first_rows=rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
         self._form = find_format(head, path, self._source.encoding, separator, decimal, rows)
         self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))

@@ -21,14 +21,6 @@ from piga.formats.columns import refusal
 from piga.formats.text.convention import SNIFF_BYTES
 from piga.records.limits import open_regular
 
-ENCODINGS = (
-    "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-le", "utf-32-be", "ascii",
-    "gb18030", "gbk", "gb2312", "hz", "big5", "big5hkscs", "cp950", "shift_jis", "cp932", "euc_jp", "euc_kr", "cp949",
-    "iso8859-1", "iso8859-2", "iso8859-5", "iso8859-7", "iso8859-9", "iso8859-15", "koi8-r", "koi8-u", "mac-roman",
-    "cp437", "cp850", "cp852", "cp855", "cp866", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257",
-)  # fmt: skip
-"""Allowed encodings, by their Python names. (Python also has codecs that are not text encodings.)"""
-
 GUESSED = ("gb18030", "cp1252")
 """Encodings tried for a text that is not UTF-8: Chinese Windows, Western Windows."""
 _MARKS = (
@@ -51,7 +43,7 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
     Raises
     ------
     DataError
-        If the declared encoding is not one of :data:`ENCODINGS`, or the bytes are text in none of the tried ones.
+        If the declared encoding does not exist, or the bytes are text in none of the tried ones.
     """
     if declared is not None:
         return _declared(declared, path)
@@ -78,14 +70,14 @@ def looks_western(head: bytes) -> bool:
 
 
 def _declared(declared: str, path: Path) -> str:
+    """Python's name of an encoding. Python also has codecs that are not text encodings."""
     try:
-        name = codecs.lookup(declared).name
+        "".encode(declared)
+        return codecs.lookup(declared).name
     except (LookupError, ValueError):
-        name = ""
-    if name in ENCODINGS:
-        return name
-    words = f"[data] encoding '{declared[:40]}' is not supported"
-    raise refusal(path, words, f"one of: {', '.join(ENCODINGS)}", fixes=_ENCODING)
+        words = f"[data] encoding '{declared[:40]}' is not supported"
+        remedy = "give the name that Python has for it, such as 'cp1252', 'gb18030', 'shift_jis' or 'utf-16'"
+        raise refusal(path, words, remedy, fixes=_ENCODING) from None
 
 
 def _decoded(head: bytes, encoding: str) -> str | None:
@@ -132,12 +124,11 @@ class TextSource:
         self,
         path: Path,
         encoding: str | None,
-        piece: int | None = None,
         *,
         wanted: Iterable[str] = (),
         first_rows: int = 0,
     ) -> None:
-        self.path, self.cut, self._piece = path, False, piece or PIECE_BYTES
+        self.path, self.cut = path, False
         first = next(self._blocks(MAX_HEAD + 1), b"")
         if not first or (len(first) <= MAX_HEAD and first.isspace()):
             raise refusal(path, "the file is empty", "check that the logger wrote data")
@@ -164,7 +155,7 @@ class TextSource:
     def pieces(self, skip: int) -> Iterator[bytes]:
         """Complete lines in order, without the first ``skip``."""
         header, rest = self.header_bytes(skip), b""
-        for block in self._as_utf8(self._blocks(self._piece)):
+        for block in self._as_utf8(self._blocks(PIECE_BYTES)):
             data = rest + (block.replace(b"\r", b"\n") if self._only_cr else block)
             dropped = min(header, len(data))
             header -= dropped

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from piga.describe import describe_log, draft_run_file
 from piga.describe.columns import kind_of_name, unit_in_name
-from piga.describe.layout import text_layout
+from piga.describe.log import text_layout
 from piga.reading.columns import open_stream
 from piga.records.run_file import read_run_file
 
