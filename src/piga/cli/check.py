@@ -108,7 +108,7 @@ def convert(
 
 def suggested_lines(run: Path) -> list[str]:
     """The lines that were tried, in run-file syntax, with the reason as a comment."""
-    from piga.describe import suggestions
+    from piga.describe.run_file import suggestions
 
     with progress("trying run-file lines"):
         tried = suggestions(run)

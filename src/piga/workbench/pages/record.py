@@ -228,7 +228,7 @@ def _picture(request: Request, entry: Entry) -> dict[str, Any]:
 
 def _repairs(bench: Bench, entry: Entry) -> list[Any]:
     """Lines that repair a run file; each was tried on the log."""
-    from piga.describe import suggestions
+    from piga.describe.run_file import suggestions
 
     with contextlib.suppress(PigaError, OSError):
         return suggestions(bench.folder.toml(entry.name)) if entry.size <= _SMALL else []
