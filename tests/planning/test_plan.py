@@ -12,7 +12,7 @@ import piga
 from piga.calibration.fit import fit_run
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients
-from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError
+from piga.errors import CalibrationError, IdentifiabilityError, PigaError
 from piga.planning.candidates import (
     Visit,
     coefficient_names,
@@ -147,33 +147,6 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
     for name in ("scale_factor", "k0"):
         assert plan.best.degrees(name) == pytest.approx(calibration[name].degrees_of_freedom, rel=0.3)
         assert plan.best.expanded(name) > 1.99 * plan.best.std(name)
-
-
-@pytest.mark.long
-def test_lock_zone_is_left_out_with_the_reason(tmp_path):
-    plan = plan_test(request(tmp_path, plan="margin = 700.0"))
-    reasons = {item.candidate.label: item.reason for item in plan.excluded}
-    assert set(reasons) == {"60 deg", "90 deg", "120 deg", "240 deg", "270 deg", "300 deg"}
-    assert reasons["90 deg"].startswith("locked")
-    assert reasons["60 deg"].startswith("within 700 times the lock zone")
-    assert not set(reasons) & {visit.candidate.label for visit in plan.best.visits}
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"plan": 'wanted = { k3 = "1 ug/g^3" }'}, "wanted: 'k3' is not estimated"),
-        ({"plan": 'criterion = "c"'}, "criterion 'c' needs combination"),
-        ({"plan": 'dwell = "3 s"'}, "unknown key 'dwell'"),
-        ({"plan": 'longest_dwell = "3 s"'}, "longest_dwell is below minimum_dwell"),
-        ({"terms": '"scale_factor", "k0_t"'}, "'k0_t' depends on when"),
-        ({"duration": "-5"}, "duration: -5 s is not positive"),
-    ],
-)
-def test_wrong_plan_files_are_refused(tmp_path, changes, words):
-    with pytest.raises(RunFileError, match=words.replace("(", r"\(")) as caught:
-        request(tmp_path, **changes)
-    assert "plan.toml" in str(caught.value)
 
 
 def test_what_cannot_be_planned_is_refused(tmp_path):

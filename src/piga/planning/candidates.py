@@ -23,6 +23,7 @@ from piga.calibration.fit import repetitions
 from piga.calibration.intervals import LeverageError
 from piga.calibration.joint import JointFit, Wish, contributions, merge_runs
 from piga.calibration.model.design import Design, ServoState
+from piga.calibration.model.solution import asked_order, layout_of
 from piga.calibration.servo import reduce_settled, with_mean_servo
 from piga.calibration.summary import bare_summary, with_sources
 from piga.calibration.weights import (
@@ -40,7 +41,7 @@ from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration import Coefficient
 from piga.records.calibration.coefficient import coverage_factor
 from piga.records.run import Run
-from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor
+from piga.records.terms import GYRO, SERVO_TERMS, si_factor
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.profile import NONE, Stand
@@ -232,32 +233,21 @@ def _servo_state(request: PlanRequest, design: Design) -> ServoState:
 
 
 def _jacobian(request: PlanRequest, design: Design) -> Array:
-    """Derivative of the column coefficients by the named coefficients (file units); phi is last.
+    """Derivative of the column coefficients by the parameters of the layout (file units): amplitudes, then phi.
 
-    The output zero is at alpha = 0, so phi = 0. ``K theta`` is linear in each named coefficient.
+    The output zero is at alpha = 0, so phi = 0. The amplitudes are ``K theta``.
     """
-    names = [name for name in coefficient_names(request) if name != "phi"]
-    truth = _truth(request)
-    K = design.run.scale_factor
-    result = np.zeros((len(design.names), len(names) + 1))
-    known_scale = "scale_factor" not in names
-    for row, column in enumerate(design.names):
-        if column in ("p", "scale_factor"):
-            name = "tan_beta" if column == "p" else column
-            result[row, names.index(name)] = K if column == "p" else 1.0
-            if column == "p" and not known_scale:
-                result[row, names.index("scale_factor")] = truth["tan_beta"]
-        elif column == "q":
-            result[row, -1] = K * truth["tan_beta"]
-        else:
-            result[row, names.index(column)] = K
-            if not known_scale:
-                result[row, names.index("scale_factor")] = truth.get(column, 0.0)
-            turned = harmonic(column)
-            if turned:
-                partner = truth.get(("c" if turned[0] == "s" else "s") + str(turned[1]), 0.0)
-                result[row, -1] = (-1.0 if turned[0] == "s" else 1.0) * turned[1] * K * partner
-    return result * np.array([si_factor(name) for name in [*names, "phi"]])
+    layout, truth, K = layout_of(design, 1), _truth(request), design.run.scale_factor
+    names = [name for name, _ in layout.amplitude_keys]
+    phases = np.zeros(1 if layout.local else 0)
+    by_name = np.diag(np.append(np.full(len(names), K), np.ones(phases.size)))
+    values = np.array([truth.get(name, 0.0) for name in names])
+    if "scale_factor" in names:
+        at = names.index("scale_factor")
+        by_name[: len(names), at] = values
+        by_name[at, at] = 1.0
+    result = layout.jacobian(K * values, phases, 0) @ by_name
+    return result * np.array([si_factor(name) for name in [*names, "phi"][: result.shape[1]]])
 
 
 def _truth(request: PlanRequest) -> dict[str, float]:
@@ -275,14 +265,12 @@ def _truth(request: PlanRequest) -> dict[str, float]:
 
 def _without_phase(information: Array, request: PlanRequest, design: Design) -> Array:
     """Information in the order of the names; a phase per segment is eliminated (Schur complement)."""
-    names = coefficient_names(request)
-    if "p" not in design.names and not design.request.harmonics:
-        return information[:, :-1, :-1]
-    if "phi" in names:
-        order = [len(names) - 1 if n == "phi" else i - (i > names.index("phi")) for i, n in enumerate(names)]
-        return information[:, order][:, :, order]
-    cross, phase = information[:, :-1, -1], np.maximum(information[:, -1, -1], 1e-300)
-    return information[:, :-1, :-1] - cross[:, :, None] * cross[:, None, :] / phase[:, None, None]
+    layout, shared = layout_of(design, 1), "phi" in coefficient_names(request)
+    if layout.local and not shared:
+        cross, phase = information[:, :-1, -1], np.maximum(information[:, -1, -1], 1e-300)
+        information = information[:, :-1, :-1] - cross[:, :, None] * cross[:, None, :] / phase[:, None, None]
+    order = asked_order(layout, request.model.terms, int(shared))
+    return information[:, order][:, :, order]
 
 
 @dataclass(frozen=True)
@@ -316,34 +304,36 @@ class Prediction(Result):
         """Sum of the dwells [s]."""
         return sum(visit.dwell for visit in self.visits)
 
+    def _own(self, name: str) -> tuple[float, float, float]:
+        """Standard uncertainties of a coefficient of Type A and by the stand, and the degrees of freedom of the first."""
+        by_stand = np.zeros(len(self.coefficients)) if self.type_b is None else self.type_b
+        for c, u in zip(self.coefficients, by_stand.tolist(), strict=True):
+            if c.name == name:
+                return (c.std if c.segment is None else math.inf), u, float(c.degrees_of_freedom or math.inf)
+        return math.inf, 0.0, 0.0
+
     def std(self, name: str) -> float:
         """Type A standard uncertainty of a coefficient; infinite if it is not determined."""
-        stds = [c.std for c in self.coefficients if c.name == name and c.segment is None]
-        return stds[0] if stds else float("inf")
+        return self._own(name)[0]
+
+    def by_stand(self, name: str) -> float:
+        """Standard uncertainty of a coefficient by the stand."""
+        return self._own(name)[1]
 
     def combined(self, name: str) -> float:
         """Combined standard uncertainty of a coefficient."""
-        for k, c in enumerate(self.coefficients):
-            if c.name == name and c.segment is None:
-                return float(np.hypot(c.std, 0.0 if self.type_b is None else self.type_b[k]))
-        return float("inf")
+        return float(np.hypot(*self._own(name)[:2]))
 
     def degrees(self, name: str) -> float:
         """Degrees of freedom of the Type A standard uncertainty of a coefficient."""
-        return next((float(c.degrees_of_freedom or math.inf) for c in self.coefficients if c.name == name), 0.0)
+        return self._own(name)[2]
 
     def expanded(self, name: str) -> float:
         """Half width of the 95 % interval that the calibration will state: Student's t, Welch and Satterthwaite."""
         whole = self.combined(name)
         if not math.isfinite(whole):
             return math.inf
-        ratio = whole / max(self.std(name), 1e-300)
-        return coverage_factor(self.degrees(name) * ratio**4) * whole
-
-
-def _duration_of(visits: tuple[Visit, ...], move: float) -> float:
-    """Time of a test with a move between visits [s]."""
-    return sum(visit.dwell for visit in visits) + move * (len(visits) - 1)
+        return coverage_factor(self.degrees(name) * (whole / max(self.std(name), 1e-300)) ** 4) * whole
 
 
 def predict(
@@ -357,7 +347,7 @@ def predict(
         With ``refuse``, if the test cannot determine the terms; otherwise the result holds the reason.
     """
     run = noiseless_run(request, visits)
-    duration = _duration_of(visits, request.move)
+    duration = sum(visit.dwell for visit in visits) + request.move * (len(visits) - 1)
     noise, wish = _noise_of(request), request_of(request.model)
     noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,41 +55,45 @@ class Criterion:
 
     def guarded(self) -> Criterion:
         """The criterion with the guard, if the rows do not cover all parameters."""
-        left_out = self.rows.shape[0] < self.rows.shape[1]
-        return replace(self, guard=_GUARD) if left_out else self
+        return replace(self, guard=_GUARD if self.rows.shape[0] < self.rows.shape[1] else 0.0)
 
-    def _all(self) -> Criterion:
-        return Criterion(np.eye(self.rows.shape[1]), 0.0)
+    def _parts(self) -> list[tuple[float, Array, float]]:
+        """Share, rows and power of each part."""
+        everything = [(self.guard, np.eye(self.rows.shape[1]), 0.0)] if self.guard else []
+        return [(1.0 - self.guard, self.rows, self.power), *everything]
 
     def values(self, information: Array) -> Array:
         """Criterion of information matrices (..., m, m) in scaled parameters."""
-        if self.guard:
-            own = replace(self, guard=0.0).values(information)
-            return (1.0 - self.guard) * own + self.guard * self._all().values(information)
-        m = information.shape[-1]
-        covariance = np.linalg.inv(information + _RIDGE * np.eye(m))
-        reduced = self.rows @ covariance @ self.rows.T
-        if self.power == 0.0:
-            return np.linalg.slogdet(reduced)[1] / self.rows.shape[0]
-        variances = np.maximum(np.diagonal(reduced, axis1=-2, axis2=-1), 1e-300)
-        logs = self.power * np.log(variances)
-        top = logs.max(axis=-1, keepdims=True)
-        return (top[..., 0] + np.log(np.mean(np.exp(logs - top), axis=-1))) / self.power
+        covariance = _covariance(information)
+        total = np.zeros(information.shape[:-2])
+        for share, rows, power in self._parts():
+            reduced = rows @ covariance @ rows.T
+            if power == 0.0:
+                total += share * np.linalg.slogdet(reduced)[1] / rows.shape[0]
+                continue
+            logs = power * np.log(np.maximum(np.diagonal(reduced, axis1=-2, axis2=-1), 1e-300))
+            top = logs.max(axis=-1)
+            total += share * (top + np.log(np.mean(np.exp(logs - top[..., None]), axis=-1))) / power
+        return total
 
     def sensitivity(self, information: Array) -> Array:
         """``S`` with derivative ``-tr(S dM)``, (m, m)."""
-        if self.guard:
-            own = replace(self, guard=0.0).sensitivity(information)
-            return (1.0 - self.guard) * own + self.guard * self._all().sensitivity(information)
-        m = information.shape[-1]
-        covariance = np.linalg.inv(information + _RIDGE * np.eye(m))
-        crossed = covariance @ self.rows.T
-        reduced = self.rows @ crossed
-        if self.power == 0.0:
-            return crossed @ np.linalg.inv(reduced) @ crossed.T / self.rows.shape[0]
-        variances = np.diag(reduced)
-        shares = (variances / variances.max()) ** self.power
-        return (crossed * (shares / shares.sum() / variances)) @ crossed.T
+        covariance = _covariance(information)
+        total = np.zeros_like(covariance)
+        for share, rows, power in self._parts():
+            crossed = covariance @ rows.T
+            reduced = rows @ crossed
+            if power == 0.0:
+                total += share * crossed @ np.linalg.inv(reduced) @ crossed.T / rows.shape[0]
+                continue
+            variances = np.diag(reduced)
+            shares = (variances / variances.max()) ** power
+            total += share * (crossed * (shares / shares.sum() / variances)) @ crossed.T
+        return total
+
+
+def _covariance(information: Array) -> Array:
+    return np.asarray(np.linalg.inv(information + _RIDGE * np.eye(information.shape[-1])), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -202,29 +205,67 @@ def improve(tables: Array, criterion: Criterion, limits: PlanLimits, places: Ind
     ``tables`` (n, steps, m, m) hold the information of 1, 2, ... dwell steps, scaled parameters.
     """
     places, dwells = fitted(places, dwells, limits)
-    value = float(criterion.values(_information(tables, places, dwells)))
+    tables = np.concatenate([np.zeros_like(tables[:, :1]), tables], axis=1)  # a dwell of 0 steps tells nothing
+    value = float(criterion.values(tables[places, dwells].sum(axis=0)))
     while True:
-        options = list(_neighbours(tables, limits, places, dwells))
-        matrices = np.concatenate([change for change, _ in options])
-        values = criterion.values(_information(tables, places, dwells) + matrices)
+        places, dwells = np.append(places, 0), np.append(dwells, 0)  # an empty visit, for one more
+        held = tables[places, dwells]
+        moves = list(_moves(tables.shape[0], limits, places, dwells))
+        changes = [(tables[there, steps] - held[at]).sum(axis=1) for at, there, steps in moves]
+        values = criterion.values(held.sum(axis=0) + np.concatenate(changes))
         best = int(np.argmin(values))
-        if not values[best] < value - _IMPROVEMENT:
-            return Schedule(places, dwells, value)
-        for change, take in options:
-            if best < change.shape[0]:
-                taken = take(best)
+        moved = places.copy(), dwells.copy()
+        for at, there, steps in moves:
+            if best < len(at):
+                moved[0][at[best]], moved[1][at[best]] = there[best], steps[best]
                 break
-            best -= change.shape[0]
-        better = float(criterion.values(_information(tables, *taken)))
-        if (
-            not better < value - _IMPROVEMENT
-        ):  # rounding of a nearly singular plan: it would go round in circles
-            return Schedule(places, dwells, value)
-        (places, dwells), value = taken, better
+            best -= len(at)
+        better = float(criterion.values(tables[moved].sum(axis=0)))
+        if not better < value - _IMPROVEMENT:
+            return Schedule(places[:-1], dwells[:-1], value)
+        places, dwells, value = moved[0][moved[1] > 0], moved[1][moved[1] > 0], better
 
 
-def _information(tables: Array, places: Index, dwells: Index) -> Array:
-    return tables[places, dwells - 1].sum(axis=0)
+def _moves(
+    count: int, limits: PlanLimits, places: Index, dwells: Index
+) -> Iterator[tuple[Index, Index, Index]]:
+    """Exchanges in groups: the visits that change, and their new places and dwells, (b, c) each.
+
+    The last visit is empty. A dwell of 0 takes a visit out.
+    """
+    size, everywhere = places.size - 1, np.arange(count)
+    visits = np.arange(size)
+    for k in visits:
+        yield _move([np.full(count, k)], [everywhere], [np.full(count, dwells[k])])
+    for k in visits:
+        for jump in _JUMPS:
+            others = visits[(visits != k) & (dwells[:-1] + jump <= limits.longest)]
+            if dwells[k] - jump >= limits.shortest and others.size:
+                at = [np.full(others.size, k), others]
+                yield _move(at, [places[i] for i in at], [dwells[at[0]] - jump, dwells[others] + jump])
+    room = limits.room(dwells[:-1])
+    if room > 0:
+        yield _move([visits], [places[visits]], [np.minimum(dwells[visits] + room, limits.longest)])
+    for k in visits if size > 1 else ():
+        rest = visits[visits != k]
+        freed = limits.room(dwells[rest])
+        if freed >= 0:
+            grown = np.minimum(dwells[rest] + freed, limits.longest)
+            yield _move([np.full(rest.size, k), rest], [places[rest]] * 2, [np.zeros_like(rest), grown])
+            spread = np.minimum(dwells[:-1] + freed // rest.size, limits.longest) * (visits != k)
+            yield visits[None], places[None, :-1], spread[None]
+    needed = int(np.ceil(limits.shortest + limits.move - 1e-9))
+    for k in visits:
+        left = dwells[k] - max(needed - room, 0)
+        if left >= limits.shortest:
+            at = [np.full(count, k), np.full(count, size)]
+            steps = [np.full(count, left), np.full(count, limits.shortest)]
+            yield _move(at, [places[at[0]], everywhere], steps)
+
+
+def _move(*parts: list[Index]) -> tuple[Index, Index, Index]:
+    at, there, steps = (np.stack(part, axis=1) for part in parts)
+    return at, there, steps
 
 
 def fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Index]:
@@ -238,68 +279,6 @@ def fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Ind
     while limits.room(dwells) > 0 and dwells.min() < limits.longest:
         dwells[np.argmin(dwells)] += 1
     return places, dwells
-
-
-def _neighbours(tables: Array, limits: PlanLimits, places: Index, dwells: Index) -> Iterator[tuple]:
-    """Changed information matrices (b, m, m), and a function that builds the visits of each."""
-    own = tables[places, dwells - 1]
-    count = tables.shape[0]
-    for k in range(places.size):
-        yield tables[:, dwells[k] - 1] - own[k], lambda i, k=k: (_put(places, k, i), dwells)
-    for k in range(places.size):
-        for jump in _JUMPS:
-            if dwells[k] - jump < limits.shortest:
-                continue
-            others = np.flatnonzero((np.arange(places.size) != k) & (dwells + jump <= limits.longest))
-            loss = tables[places[k], dwells[k] - jump - 1] - own[k]
-            gain = tables[places[others], dwells[others] + jump - 1] - own[others]
-            yield (
-                loss + gain,
-                lambda i, k=k, j=jump, o=others: (
-                    places,
-                    _put(_put(dwells, k, dwells[k] - j), o[i], dwells[o[i]] + j),
-                ),
-            )
-    room = limits.room(dwells)
-    if room > 0:
-        grown = np.minimum(dwells + room, limits.longest)
-        yield tables[places, grown - 1] - own, lambda i: (places, _put(dwells, i, grown[i]))
-    yield from _fewer(tables, limits, places, dwells, own)
-    needed = int(np.ceil(limits.shortest + limits.move - 1e-9))
-    for k in range(places.size):
-        left = dwells[k] - max(needed - room, 0)
-        if left >= limits.shortest:
-            change = tables[places[k], left - 1] - own[k] + tables[:, limits.shortest - 1]
-            yield (
-                change,
-                lambda i, k=k, n=left: (
-                    np.append(places, i % count),
-                    np.append(_put(dwells, k, n), limits.shortest),
-                ),
-            )
-
-
-def _fewer(tables: Array, limits: PlanLimits, places: Index, dwells: Index, own: Array) -> Iterator[tuple]:
-    """One visit less; its dwell and move time go to one other visit or equally to all."""
-    if places.size < 2:
-        return
-    for k in range(places.size):
-        rest, kept = np.delete(places, k), np.delete(dwells, k)
-        freed = limits.room(kept)
-        if freed < 0:
-            continue
-        grown = np.minimum(kept + freed, limits.longest)
-        base = np.delete(own, k, axis=0)
-        yield tables[rest, grown - 1] - base - own[k], lambda i, r=rest, d=kept, g=grown: (r, _put(d, i, g[i]))
-        shared = np.minimum(kept + freed // kept.size, limits.longest)
-        change = (tables[rest, shared - 1] - base).sum(axis=0) - own[k]
-        yield change[None], lambda _, r=rest, d=shared: (r, d)
-
-
-def _put(values: Index, at: int, value: Any) -> Index:
-    changed = values.copy()
-    changed[at] = value
-    return changed
 
 
 def start_of(mixture: Mixture, steps: int, limits: PlanLimits) -> tuple[Index, Index]:

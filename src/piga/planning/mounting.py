@@ -21,9 +21,6 @@ from piga.stand.profile import NONE
 from piga.threads import one_thread
 from piga.units import to_si
 
-_ROWS_AT_ONCE = 20000
-"""Profile rows compared at a time."""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting(Result):
@@ -93,9 +90,15 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
     t = np.arange(segments[0].start, segments[-1].stop + 0.5 * step, step)
     force, rate = stand.motion(np.minimum(t, segments[-1].stop), NONE)
     u = instrument.scale_factor * force - rate
-    skews, clocks = _angles(table.skew, "skew"), _angles(table.clock, "clock")
-    margins, inside = _margins(u, skews, clocks, tangent, table.margin)
-    best = _largest(margins)
+    skews, clocks = (
+        np.array(angles_of_range(getattr(table, name), f"[mounting] {name}", "0:91:1 deg"))
+        for name in ("skew", "clock")
+    )
+    margins, inside = np.empty((2, skews.size, clocks.size))
+    for k, skew in enumerate(skews.tolist()):
+        ratios = _ratios(u, _axes(skew, clocks), tangent)
+        margins[k], inside[k] = ratios.min(axis=0), np.mean(ratios < table.margin, axis=0)
+    best = int(np.argmax(margins) // clocks.size), int(np.argmax(margins) % clocks.size)
     axes = _axes(skews[best[0]], clocks[[best[1]]])
     return Mounting(
         skews=skews,
@@ -108,10 +111,6 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
         unskewed_history=_ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
         best=best,
     )
-
-
-def _angles(text: str, what: str) -> Array:
-    return np.array(angles_of_range(text, f"[mounting] {what}", "0:91:1 deg"))
 
 
 def _axes(skew: float, clocks: Array) -> Array:
@@ -131,21 +130,3 @@ def _ratios(u: Array, axes: Array, tangent: float) -> Array:
     ratios = np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
     ratios[1:][signed[1:] * signed[:-1] < 0.0] = 0.0
     return ratios
-
-
-def _margins(u: Array, skews: Array, clocks: Array, tangent: float, limit: float) -> tuple[Array, Array]:
-    margins = np.full((skews.size, clocks.size), np.inf)
-    inside = np.zeros((skews.size, clocks.size))
-    for k, skew in enumerate(skews):
-        axes = _axes(float(skew), clocks)
-        for start in range(0, u.shape[0], _ROWS_AT_ONCE):
-            ratios = _ratios(u[max(start - 1, 0) : start + _ROWS_AT_ONCE], axes, tangent)
-            margins[k] = np.minimum(margins[k], ratios.min(axis=0))
-            inside[k] += np.count_nonzero(ratios[-min(_ROWS_AT_ONCE, u.shape[0] - start) :] < limit, axis=0)
-    return margins, inside / u.shape[0]
-
-
-def _largest(margins: Array) -> tuple[int, int]:
-    """Index of the largest margin; the first one if several are equal."""
-    at = int(np.argmax(margins))
-    return at // margins.shape[1], at % margins.shape[1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +47,7 @@ from piga.planning.plan_file import PlanRequest
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
-from piga.results import Array, Plotted, Reported, Result
+from piga.results import Array, Plotted, Reported, Result, finite
 from piga.stand.scenario import DividingHeadTable
 from piga.threads import one_thread
 from piga.units import G0
@@ -137,14 +138,25 @@ class Plan(Result, Plotted, Reported):
 
 @dataclass(frozen=True)
 class _Search:
-    """Data of the search for one request: scaled tables of the usable candidates."""
+    """Data of the search for one request: scaled tables of the usable candidates, and the kind of criterion."""
 
     request: PlanRequest
     usable: tuple[Candidate, ...]
     tables: Array
     scale: Array
+    kind: str
 
-    def per_second(self) -> Array:
+    @cached_property
+    def mixture(self) -> Mixture:
+        """The best mixture."""
+        return best_mixture(self._per_second(), self.criterion)
+
+    @cached_property
+    def start(self) -> Mixture:
+        """The mixture from which visits are searched: it determines every parameter."""
+        return best_mixture(self._per_second(), self.criterion.guarded())
+
+    def _per_second(self) -> Array:
         """Information per second of test of every (place, dwell), (n, m, m)."""
         steps = self.tables.shape[1]
         cost = np.arange(1, steps + 1) * self.request.dwell_step + self.request.move
@@ -158,9 +170,10 @@ class _Search:
         shortest = max(1, math.ceil(self.request.minimum_dwell / step - 1e-9))
         return PlanLimits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
 
-    def criterion(self, kind: str) -> Criterion:
+    @cached_property
+    def criterion(self) -> Criterion:
         """The criterion in scaled parameters (``scaled = file / scale``)."""
-        plan, names = self.request.settings, coefficient_names(self.request)
+        kind, plan, names = self.kind, self.request.settings, coefficient_names(self.request)
         rows = np.diag(self.scale)
         if kind == "c":
             return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * self.scale, 1.0)
@@ -196,9 +209,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     request = _checked(request, usable)
     steps("information of each position")
     search = _prepare(request, usable)
-    criterion = search.criterion(request.settings.criterion)
-    mixture = best_mixture(search.per_second(), criterion)
-    begin = best_mixture(search.per_second(), criterion.guarded())
+    criterion, mixture, _ = search.criterion, search.mixture, search.start
     steps("standard plans")
     standard = tuple(
         predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
@@ -209,7 +220,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
             remedy="lengthen [plan] duration, or shorten minimum_dwell or the moves",
         )
     steps("choosing visits")
-    best, value = _best(search, criterion, begin, standard)
+    best, value = _best(search, standard)
     steps("other durations")
     shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
     bound = float(criterion.values(mixture.information * (request.duration + request.move)))
@@ -225,7 +236,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
         efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        stretched=_stretched(search, criterion, begin, (request.duration, best, standard[-1])),
+        stretched=_stretched(search, (request.duration, best, standard[-1])),
         cheapest=_cheapest(search, best) if request.wanted else None,
     )
 
@@ -275,7 +286,7 @@ def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
     plain = 1.0 / np.sqrt(np.diag(equal))
     covariance = np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)
     scale = np.sqrt(np.diag(covariance))
-    return _Search(request, usable, tables * np.outer(scale, scale), scale)
+    return _Search(request, usable, tables * np.outer(scale, scale), scale, request.settings.criterion)
 
 
 def _standard(
@@ -308,15 +319,13 @@ def _whole_samples(request: PlanRequest, dwell: float) -> float:
     return round(math.floor(dwell / interval + 1e-6) * interval, 9)
 
 
-def _best(
-    search: _Search, criterion: Criterion, mixture: Mixture, standard: tuple[Prediction, ...]
-) -> tuple[Prediction, float]:
+def _best(search: _Search, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
     """The best test for the duration; a standard plan that keeps the margin if no test is better."""
     request = search.request
-    planned = _search_visits(search, criterion, mixture, "planned", request.duration, standard)
-    value = _value(search, criterion, planned)
+    planned = _search_visits(search, "planned", request.duration, standard)
+    value = _value(search, planned)
     for prediction in standard:
-        other = _value(search, criterion, prediction)
+        other = _value(search, prediction)
         safe = all(visit.candidate.margin >= request.settings.margin for visit in prediction.visits)
         if safe and other < value:
             planned, value = replace(prediction, name="planned"), other
@@ -327,30 +336,25 @@ def _best(
     return planned, value
 
 
-def _value(search: _Search, criterion: Criterion, prediction: Prediction) -> float:
+def _value(search: _Search, prediction: Prediction) -> float:
     """The criterion of a predicted covariance."""
     if prediction.covariance is None:
         return math.inf
     keep = [k for k, c in enumerate(prediction.coefficients) if c.segment is None]
     covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(search.scale, search.scale)
-    return float(criterion.values(np.linalg.inv(covariance).astype(np.float64)))
+    return float(search.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
 
 
 def _search_visits(
-    search: _Search,
-    criterion: Criterion,
-    mixture: Mixture,
-    name: str,
-    duration: float,
-    starts: tuple[Prediction, ...] = (),
+    search: _Search, name: str, duration: float, starts: tuple[Prediction, ...] = ()
 ) -> Prediction:
     """Exchange search from the mixture and from the standard plans whose positions are candidates.
 
     A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Each place is then visited
     twice. If that is not enough, the longest dwell is halved, until it is.
     """
-    limits, steps, criterion = search.limits(duration), search.tables.shape[1], criterion.guarded()
-    begun = [start_of(mixture, steps, limits)]
+    limits, criterion = search.limits(duration), search.criterion.guarded()
+    begun = [start_of(search.start, search.tables.shape[1], limits)]
     angles = {c.label: k for k, c in enumerate(search.usable)}
     for prediction in starts:
         places = [angles[v.candidate.label] for v in prediction.visits if v.candidate.label in angles]
@@ -430,7 +434,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
 
 
 def _stretched(
-    search: _Search, criterion: Criterion, mixture: Mixture, here: tuple[float, Prediction, Prediction]
+    search: _Search, here: tuple[float, Prediction, Prediction]
 ) -> tuple[tuple[float, Prediction, Prediction], ...]:
     """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
     rows = []
@@ -443,7 +447,7 @@ def _stretched(
         if duration < search.request.minimum_dwell or not standard:
             continue
         name, usual = standard[-1]
-        planned = _search_visits(search, criterion, mixture, "planned", duration)
+        planned = _search_visits(search, "planned", duration)
         if not planned.refusal:
             rows.append((duration, planned, predict(search.request, name, usual)))
     return tuple(rows)
@@ -451,26 +455,21 @@ def _stretched(
 
 def _cheapest(search: _Search, best: Prediction) -> _Cheapest:
     """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
-    request = search.request
-    targets = {}
+    request, targets = search.request, {}
     for name, wanted in request.wanted.items():
-        fixed = best.type_b[[c.name for c in best.coefficients].index(name)] if best.type_b is not None else 0.0
-        if fixed >= wanted:
-            return _Cheapest(
-                math.inf,
-                None,
-                f"the stand alone adds {fixed:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be reached in "
-                "any time",
+        by_stand = best.by_stand(name)
+        if by_stand >= wanted:
+            refusal = (
+                f"the stand alone adds {by_stand:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be "
+                "reached in any time"
             )
-        targets[name] = math.sqrt(wanted**2 - fixed**2)
-    search = replace(search, request=replace(request, wanted=targets))
-    criterion = search.criterion("wanted")
-    mixture = best_mixture(search.per_second(), criterion)
-    bound = math.exp(mixture.value) - request.move
-    begin = best_mixture(search.per_second(), criterion.guarded())
+            return _Cheapest(math.inf, None, refusal)
+        targets[name] = math.sqrt(wanted**2 - by_stand**2)
+    search = replace(search, request=replace(request, wanted=targets), kind="wanted")
+    bound = math.exp(search.mixture.value) - request.move
     duration = max(bound, request.minimum_dwell)
     for _ in range(_ATTEMPTS):
-        plan = _search_visits(search, criterion, begin, "cheapest", duration)
+        plan = _search_visits(search, "cheapest", duration)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
             return _Cheapest(max(bound, 0.0), plan)
@@ -549,7 +548,7 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
         document["mounting"] = {
             "skew_deg": math.degrees(mounting.skew),
             "clock_deg": math.degrees(mounting.clock),
-            "margin": _finite(mounting.margin),
+            "margin": finite(mounting.margin),
             "margin_wanted": mounting.limit,
             "acceptable_skews_deg": [round(math.degrees(float(s)), 9) for s in mounting.acceptable],
         }
@@ -569,8 +568,8 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
         name: {
             "type_a": prediction.std(name),
             "combined": prediction.combined(name),
-            "expanded": _finite(prediction.expanded(name)),
-            "degrees_of_freedom": _finite(prediction.degrees(name)),
+            "expanded": finite(prediction.expanded(name)),
+            "degrees_of_freedom": finite(prediction.degrees(name)),
             "unit": unit_of(name, plan.request.unit),
         }
         for name in plan.names
@@ -579,14 +578,10 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
 
 
 def _cheapest_document(plan: Plan, cheapest: _Cheapest) -> dict[str, Any]:
-    entry: dict[str, Any] = {"wanted": plan.request.wanted, "bound_s": _finite(cheapest.bound)}
+    entry: dict[str, Any] = {"wanted": plan.request.wanted, "bound_s": finite(cheapest.bound)}
     if cheapest.plan is None:
         return entry | {"refusal": cheapest.refusal}
     return entry | {
         "duration_s": cheapest.plan.duration,
         "visits": [{"position": v.candidate.label, "dwell_s": v.dwell} for v in cheapest.plan.visits],
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
