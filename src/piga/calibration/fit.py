@@ -195,7 +195,9 @@ def _scattered(fit: Fit) -> Array:
     for k, (part, segment) in enumerate(zip(fit.positions, positions.segments.tolist(), strict=True)):
         own, missed = part.factor[:, m], part.factor[:, -1] - part.factor[:, :m] @ fit.solution.values[segment]
         rates[k] = variances[k] * (own @ missed) / (1.0 + variances[k] * (own @ own))
-    return np.repeat(rates, np.diff(positions.edges)) * np.maximum(fit.h, 0.0)
+    increments = np.repeat(rates, np.diff(positions.edges))
+    increments *= np.maximum(fit.h, 0.0)
+    return increments
 
 
 def without_scatter(fit: Fit) -> Fit:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -119,11 +119,17 @@ def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary,
 
 def _summary(design: Design, residuals: Residuals, left: int, right: int) -> SegmentSummary:
     run, part = design.run, slice(left, right)
-    inside = ~run.begins[part]
-    inside[0] = False
-    h = changes(run.t[part])
-    step = h * middles(run.output[part]) if design.point else changes(run.output[part])
-    duration, turned = float(h[inside].sum()), float(step[inside].sum())
+    begins = np.flatnonzero(run.begins[part])
+    h, output = changes(run.t[part]), run.output[part]
+    h[begins] = 0.0
+    duration = float(h.sum())
+    step = (
+        np.multiply(h, middles(output), out=h)
+        if design.point
+        else np.subtract(output[1:], output[:-1], out=h[1:])
+    )
+    step[begins if design.point else begins[begins > 0] - 1] = 0.0
+    turned = float(step.sum())
     return SegmentSummary(
         label=run.labels[int(run.segment_index[left])],
         rows=right - left,
@@ -178,8 +184,8 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     )
 
 
-def diagnose(innovation: Array, plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
-    """``plain`` with tests of the whitened residual: variance, lag-1 correlation, portmanteau, shape.
+def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
+    """``plain`` with tests of the whitened residuals of all runs: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are
     0 for normal residuals. If the test fails and ``runs`` are counted, ``counting_probability`` is the probability that
@@ -187,7 +193,7 @@ def diagnose(innovation: Array, plain: Diagnostics, runs: tuple[Products, ...]) 
     """
     from scipy.special import gammaincc
 
-    x = taken(innovation, innovation != 0.0)
+    x = np.concatenate([taken(own, own != 0.0) for own in innovations])
     n = x.size
     if n < 50:
         return replace(plain, samples=n)

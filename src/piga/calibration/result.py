@@ -165,8 +165,8 @@ def _tested(fit: JointFit, parts: list[_RunResiduals], kind: str) -> Diagnostics
     angle: Literal["angle", "count"] = "count" if fit.summaries[0].unit != GYRO else "angle"
     tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges)
     if parts:
-        innovation = np.concatenate([part.residuals.innovation for part in parts])
-        tests = diagnose(innovation, tests, tuple(part.products for part in parts))
+        innovations = [part.residuals.innovation for part in parts]
+        tests = diagnose(innovations, tests, tuple(part.products for part in parts))
     for live in filter(None, fit.live):
         tests = with_slow_counts(tests, live.run)
     return tests

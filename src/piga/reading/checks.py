@@ -299,9 +299,9 @@ class _Reading:
         No other step within three samples is a third as large.
         """
         largest = self.largest / self.scale.factor
-        sudden = (np.abs(step) > 1.5 * largest + 10.0) & ~self.begins & (np.abs(self.values) <= largest + 2.0)
+        sudden = np.flatnonzero((np.abs(step) > 1.5 * largest + 10.0) & ~self.begins & self.scale.counts)
         resets = []
-        for at in np.flatnonzero(sudden & self.scale.counts).tolist():
+        for at in sudden[np.abs(self.values[sudden]) <= largest + 2.0].tolist():
             window = slice(max(at - 3, 0), at + 4)
             size = np.sort(np.abs(step[window]) * ~self.begins[window])
             if size.size > 1 and size[-2] < abs(step[at]) / 3.0:

@@ -1,7 +1,7 @@
 """Arrays of a record. An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
 
-A record of any length is therefore read with about three columns in memory, calibrated with four and compensated with two
-and a half: the temporaries of one operation.
+A record of any length is therefore read, calibrated and compensated with about two columns in memory: the temporaries of
+one operation.
 The files vanish when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR``
 names, else in ``/var/tmp``.
 """
@@ -112,7 +112,12 @@ def norms(f: NDArray[Any]) -> NDArray[np.float64]:
 
 def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:
     """The values (n,) at which ``where`` (n,) is true, as a new array."""
-    return np.compress(where, values, out=empty(int(np.count_nonzero(where)), values.dtype))
+    made, count = empty(int(np.count_nonzero(where)), values.dtype), 0
+    for rows in spans(values.size):
+        part = values[rows][where[rows]]
+        made[count : count + part.size] = part
+        count += part.size
+    return made
 
 
 class ColumnWriter:

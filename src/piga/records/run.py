@@ -275,9 +275,9 @@ class Run(Result, Plotted, Reported, Tabular):
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
             force, rate = doors().run_reference().stand_reference(stand, Path(), t, places, names)
-            arrays["f"] = np.ascontiguousarray(force)
+            arrays["f"] = np.asarray(force, order="F")
             if unit == GYRO:
-                arrays.setdefault("base_rate", np.ascontiguousarray(rate))
+                arrays.setdefault("base_rate", np.asarray(rate, order="F"))
         _check_arrays(arrays, places, kind)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
@@ -499,8 +499,8 @@ def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:
 
 
 def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) -> Array:
-    """An array in SI, contiguous. Without a unit in ``units`` it is in SI already."""
-    array = np.ascontiguousarray(values, dtype=float)
+    """An array in SI, each column contiguous. Without a unit in ``units`` it is in SI already."""
+    array = np.asarray(values, dtype=float, order="F")
     if name not in units:
         return array
     return array * conversion_factor(units[name], like, what=f"units: {name}") + offset_to_si(units[name])

@@ -33,7 +33,7 @@ from piga._kernels.estimation import (
 from piga.calibration.model.request import Request, phase_angle
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
-from piga.records.arrays import changes
+from piga.records.arrays import spans
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
@@ -296,12 +296,12 @@ class Design:
     def _is_even(self, lengths: NDArray[np.int64], count: int) -> bool:
         """True if all segments are sampled alike and none is in pieces (of these ``lengths``) shorter than two means."""
         run, segments = self.run, len(self.run.labels)
-        within = ~run.begins[1:]
-        inside = run.segment_index[1:][within]
-        counts = np.maximum(np.bincount(inside, minlength=segments), 1)
-        step = np.bincount(inside, np.diff(run.t)[within], segments) / counts
-        short = np.bincount(run.segment_index, np.repeat(lengths < 2 * count, lengths), segments)
-        rows = np.bincount(run.segment_index, minlength=segments)
+        starts = np.flatnonzero(run.begins)
+        lasts, inside = starts + lengths - 1, run.segment_index[starts]
+        steps = np.maximum(np.bincount(inside, lengths - 1, segments), 1)
+        step = np.bincount(inside, run.t[lasts] - run.t[starts], segments) / steps
+        short = np.bincount(inside, lengths * (lengths < 2 * count), segments)
+        rows = np.bincount(inside, lengths, segments)
         return bool((np.abs(step / run.median_step - 1.0) < _EVEN).all() and (short < _PIECES * rows).all())
 
     def means_of(self, values: Array) -> Array:
@@ -482,12 +482,14 @@ class Design:
     def _check_bend(self) -> None:
         if not self.local_names or self.point:
             return
-        run = self.run
-        bend = changes(run.f[:, 0])
-        bend *= changes(run.t)
-        bend[run.begins] = 0.0
-        at = int(np.argmax(np.abs(bend, out=bend)))
-        worst = self.scale_factor / 8.0 * float(bend[at])
+        run, worst, at = self.run, 0.0, 0
+        for rows in spans(run.size - 1):
+            ends = slice(rows.start, rows.stop + 1)
+            bend = np.abs(np.diff(run.f[ends, 0]) * np.diff(run.t[ends]))
+            bend[run.begins[ends][1:]] = 0.0
+            own = self.scale_factor / 8.0 * float(bend.max())
+            if own > worst:
+                worst, at = own, ends.start + 1 + int(bend.argmax())
         if worst > _MOST_BEND:
             rate = np.sqrt(worst / _MOST_BEND) / (run.t[at] - run.t[at - 1])
             raise DataError(

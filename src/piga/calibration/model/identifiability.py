@@ -300,8 +300,10 @@ def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
     The direction comes from the mean specific forces of the segments in order, in the plane that they lie in.
     """
     held = [name for name in ("m_Y", "m_Z") if name in terms]
+    if not held or len(run.labels) < _POSITIONS:
+        return ()
     count = np.bincount(run.segment_index, minlength=len(run.labels))
-    if not held or np.count_nonzero(count) < _POSITIONS:
+    if np.count_nonzero(count) < _POSITIONS:
         return ()
     sums = np.stack([np.bincount(run.segment_index, run.f[:, axis], len(run.labels)) for axis in range(3)])
     mean = (sums[:, count > 0] / count[count > 0]).T

@@ -40,6 +40,7 @@ from piga.calibration.summary import LiveRun, RunSummary
 from piga.calibration.uncertainty import budget_row, unstated_servo
 from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
 from piga.errors import CalibrationError, IdentifiabilityError
+from piga.records.arrays import spans
 from piga.records.calibration import BudgetEntry, Coefficient, StandSource
 from piga.records.calibration.coefficient import changes, coverage_factor
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
@@ -152,9 +153,12 @@ def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tup
     run = plain.design.run
     if "servo" in run.uncertainty.waived:
         return ()
-    along, across = run.f[:, 0] ** 2, across_squared(run, slice(None))
-    part = _SOFTEST * unit * float(along @ across / max(float(along.sum()), 1e-300))
-    if part < _NEGLIGIBLE:
+    weighted, total = 0.0, 1e-300
+    for part in spans(run.size):
+        along = run.f[part, 0] ** 2
+        weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
+    share = _SOFTEST * unit * weighted / total
+    if share < _NEGLIGIBLE:
         return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
@@ -163,7 +167,7 @@ def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tup
         return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),)
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
-        moved = [c.value * part if c.name == "scale_factor" else 0.0 for c in coefficients]
+        moved = [c.value * share if c.name == "scale_factor" else 0.0 for c in coefficients]
         return (_unnamed_servo(np.array(moved), _SOFTEST, math.inf),)
     before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
     size, std, spread = (
