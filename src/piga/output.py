@@ -69,13 +69,7 @@ def write_whole(
 
 
 def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
-    """Sync a complete file to disk, and rename it to ``target`` on the same file system.
-
-    Raises
-    ------
-    OSError
-        If it fails; FileExistsError if ``target`` exists and must not be replaced.
-    """
+    """Sync a complete file to disk, and rename it to ``target`` on the same file system."""
     _sync(part)
     if replace:
         part.replace(target)
@@ -152,11 +146,6 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
     """Refuse to overwrite inputs and, unless ``force``, existing files.
 
     Inputs are recognised under any name. An input is never replaced.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the file.
     """
     there = [path for path in outputs if path.exists() or path.is_symlink()]
     same = _same_file(there, inputs)
@@ -309,13 +298,7 @@ def _after_stop(folder: Path) -> str:
 
 
 def check_results(folder: Path) -> None:
-    """Refuse a folder in which the results of a run are only partly in place.
-
-    Raises
-    ------
-    PigaError
-        Naming the command that must be run again.
-    """
+    """Refuse a folder in which the results of a run are only partly in place."""
     for mark in folder.glob(f"{_MOVING}*"):
         command = mark.name.removeprefix(_MOVING)
         raise PigaError(

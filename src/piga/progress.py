@@ -28,13 +28,7 @@ def report(
     what: str,
     remedy: str = "start again; nothing was written",
 ) -> None:
-    """Tell ``progress`` where a call is. ``remedy`` says what to do after a stop.
-
-    Raises
-    ------
-    CancelledError
-        If it returns False.
-    """
+    """Tell ``progress`` where a call is. ``remedy`` says what to do after a stop."""
     if progress is not None and progress(done, total, what) is False:
         raise CancelledError(f"stopped before: {what}", remedy=remedy)
 

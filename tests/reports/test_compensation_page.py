@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.reports import compensation as compensation_module
-from piga.reports.compensation import correction_spectrum, force_figure, of_record
+from piga.reports.compensation import force_figure, of_record
 from piga.units import G0
 from tests.compensation.run_files import KERNEL, command, write
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
@@ -67,20 +67,14 @@ def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 def test_the_correction_is_the_cross_coupling(kind):
-    """1000 arcsec across 1 g: an amplitude of tan(beta) g at order 1; indicated less correction is the force."""
+    """1000 arcsec across 1 g: a wave of the amplitude tan(beta) g; indicated less correction is the force."""
     t = np.arange(0.0, 120.0, 0.02)
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
     outline = of_record(record, cal, piga.compensate(record, cal))
-    order, amplitude = correction_spectrum(outline.instruments[0])
-    first = int(np.argmin(np.abs(order - 1.0)))
-    assert abs(amplitude[first] / (TAN_BETA * G0) - 1.0) < 0.02
     indicated, correction = (outline.curve(f"{name} a_x")[1] for name in ("indicated", "correction"))
     known = np.isfinite(correction)
     np.testing.assert_allclose((indicated - correction)[known], G0, rtol=1e-6)
-    taken_out = K_G / G0 * 0.02 * np.nansum(correction[1:])
-    leading = outline.instruments[0].leading
-    assert abs(leading.before[-1] - taken_out) < 1e-3 * TAN_BETA * K_G * 0.02 * t.size
     assert abs(outline.rms("correction a_x") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05
     figure = force_figure(outline)
     assert all(axis.quantity and axis.unit for panel in figure.panels for axis in (panel.x, panel.y))

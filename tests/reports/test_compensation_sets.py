@@ -13,11 +13,9 @@ from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.reports.compensation import (
     compensation_page,
-    correction_spectrum,
     force_figure,
     misfit_figure,
     of_set,
-    orders_figure,
 )
 from piga.reports.render.page import page_html
 from piga.units import G0
@@ -83,23 +81,6 @@ def test_outline_holds_misfits_corrections_and_flags():
         np.testing.assert_allclose((raw - correction)[away], force[away], atol=1e-12 * G0)
         assert 1e-4 * G0 < result.rms(f"correction f_{axis}") < 3.0 * TAN_BETA * G0
     assert np.abs(result.velocity / (STEP * 2999 * G0) - (1.0, -0.7, 0.4)).max() < 1e-4
-
-
-@pytest.mark.long
-def test_what_is_taken_out_of_an_instrument_is_its_cross_coupling():
-    """Order 1 with the amplitude ``tan(beta)`` times the force across that instrument."""
-    axes = orthogonal()
-    result, mounted = outline_of_set(axes, 12_000)
-    across = np.sqrt(np.array([0.7**2 + 0.4**2, 1.0 + 0.4**2, 1.0 + 0.7**2])) * G0
-    for single, size, item in zip(result.instruments, across, mounted, strict=True):
-        order, amplitude = correction_spectrum(single)
-        first = int(np.argmin(np.abs(order - 1.0)))
-        assert abs(amplitude[first] / (TAN_BETA * size) - 1.0) < 0.03
-        assert abs(single.scale_factor * G0 / K_G - 1.0) < 1e-12
-        assert item.phase is None
-    figure = orders_figure(result, NAMES[:3])
-    assert figure is not None
-    assert [panel.title for panel in figure.panels] == list(NAMES[:3])
 
 
 @pytest.mark.long

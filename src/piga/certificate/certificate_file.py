@@ -313,13 +313,7 @@ def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
 
 
 def quantity_text(text: str) -> tuple[float, str]:
-    """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written.
-
-    Raises
-    ------
-    UnitError
-        If it is not a number with a known unit.
-    """
+    """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written."""
     number, _, unit = text.strip().partition(" ")
     to_si(f"{number} {unit.strip() or '1'}", unit.strip() or "1", what=text)
     return float(number), unit.strip() or "1"
@@ -430,13 +424,7 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> Iterator[str
 
 
 def limits_in_file_units(unit: str, pair: tuple[str, str]) -> tuple[float, float]:
-    """Lower and upper limit of a coefficient in its unit in ``calibration.json``.
-
-    Raises
-    ------
-    UnitError
-        If a limit has no unit or a unit of the wrong dimension.
-    """
+    """Lower and upper limit of a coefficient in its unit in ``calibration.json``."""
     one = to_si(f"1 {unit}", unit)
     low, high = (to_si(text, unit, what=f"limit '{text}'") / one for text in pair)
     return low, high

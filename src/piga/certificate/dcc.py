@@ -65,13 +65,7 @@ _UNCERTAINTY = (
 def dcc_document(
     data: CertificateFile, calibration: Calibration, before: Calibration | None = None
 ) -> etree._Element:
-    """The certificate as XML. ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`).
-
-    Raises
-    ------
-    DataError
-        If a text holds characters that XML forbids, or the attached record is too long for XML readers.
-    """
+    """The certificate as XML. ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`)."""
     return _write(data, calibration, before, _own_release())
 
 
@@ -305,13 +299,7 @@ def is_ours(root: etree._Element) -> bool:
 
 
 def date_of_issue(root: etree._Element, path: Path) -> dt.date:
-    """The date of issue of a certificate. Messages name ``path``.
-
-    Raises
-    ------
-    DataError
-        If it states no date of issue.
-    """
+    """The date of issue of a certificate. Messages name ``path``."""
     text = root.findtext("dcc:administrativeData/dcc:coreData/dcc:issueDate", "", NAMES)
     try:
         return dt.date.fromisoformat(text)

@@ -26,13 +26,7 @@ MOST_XML_BYTES = 32 << 20
 
 
 def read_xml(path: Path) -> tuple[bytes, etree._Element]:
-    """Bytes and root element of an XML file.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read, is too large, is not XML, or declares a document type or entities.
-    """
+    """Bytes and root element of an XML file."""
     raw = read_whole(path, MOST_XML_BYTES, "a certificate in XML")
     return raw, parse_xml(raw, path)
 
@@ -253,13 +247,7 @@ def written(root: etree._Element) -> bytes:
 
 
 def load_certificate(path: Path) -> Any:
-    """The X.509 certificate of a PEM file.
-
-    Raises
-    ------
-    DataError
-        If it cannot be read, or its key is neither RSA (at least 2048 bits) nor elliptic curve (at least 256 bits).
-    """
+    """The X.509 certificate of a PEM file."""
     from cryptography import x509
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric import ec, rsa

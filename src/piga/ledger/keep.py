@@ -34,13 +34,6 @@ def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
         Run file.
     digests:
         SHA-256 of each input as it was read for the calibration: :attr:`piga.Calibration.provenance`.
-
-    Raises
-    ------
-    RunFileError
-        If a name is absolute: the record could not be read on another machine.
-    DataError
-        If an input changed since the calibration.
     """
     run_file = read_run_file(run)
     named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]

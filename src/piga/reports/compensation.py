@@ -23,6 +23,7 @@ from piga.records.arrays import changes, middles
 from piga.records.calibration import Calibration, Coefficient, Residuals
 from piga.records.run import Run
 from piga.records.terms import shown_unit
+from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import judgement, scale_factor, sentence
 from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
@@ -34,7 +35,6 @@ from piga.reports.render.page import (
     Page,
     Section,
     TableOf,
-    Text,
     Tile,
     Tone,
     named_values,
@@ -46,8 +46,6 @@ Flags = NDArray[np.int32]
 
 CURVE_POINTS = 1 << 15
 """Most points of an envelope; fewer rows are kept whole."""
-LEADING_ROWS = 1 << 20
-"""Rows of an instrument that its spectrum uses at most."""
 
 
 def rms(values: Array) -> float:
@@ -58,34 +56,27 @@ def rms(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Indication:
-    """One instrument: rms of its correction [m/s^2], rows of each flag, and its first rows for a spectrum.
-
-    In ``leading`` the running correction as angle [rad] is ``before``; ``after`` is 0.
-    """
+    """One instrument: rms of its correction [m/s^2], and rows of each flag."""
 
     calibration: Calibration
     scale_factor: float
     correction: float
     flagged: dict[str, int]
-    leading: Residuals
 
 
 def _indication_of(
-    record: Run, calibration: Calibration, begins: NDArray[np.bool_], ax: Array, dv: Array, flags: Flags
+    record: Run, calibration: Calibration, begins: NDArray[np.bool_], ax: Array, flags: Flags
 ) -> tuple[Indication, Array]:
     """An instrument with its compensation, and the indicated specific force [m/s^2]."""
     K = scale_factor(calibration)
-    h, turn, psi = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
+    h, turn, _ = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
     if record.kind == "rate":
         omega = 0.0 if record.base_rate is None else record.base_rate[:, 0]
         indicated = (record.output + omega) / K
     else:
         indicated = turn / (K * np.where(h > 0.0, h, np.nan))
-    rows = slice(0, LEADING_ROWS)
-    angle = np.cumsum((turn - K * dv)[rows])
-    leading = _as_residuals(record, rows, psi, angle, np.broadcast_to(0.0, angle.size))
     flagged = {name: int(np.count_nonzero(flags & bit)) for name, bit in FLAGS.items()}
-    return Indication(calibration, K, rms(indicated - ax), flagged, leading), indicated
+    return Indication(calibration, K, rms(indicated - ax), flagged), indicated
 
 
 def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -99,15 +90,6 @@ def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Arra
     if record.base_rate is not None:
         turn = turn + h * middles(record.base_rate[:, 0])
     return h, turn, psi
-
-
-def _as_residuals(
-    record: Run, rows: slice, psi: Array, before: Array, after: Array, unit: str = "rad"
-) -> Residuals:
-    """Running errors of some rows as residuals of a calibration, for its spectra."""
-    number, nothing = np.arange(1, before.size + 1), np.broadcast_to(0.0, before.size)
-    segment = record.segment_index[rows] if record.segment_index.size else np.zeros(before.size, np.int32)
-    return Residuals(number, record.t[rows], psi[rows], nothing, before, after, nothing, segment, unit=unit)
 
 
 class CompensationOutline:
@@ -168,7 +150,7 @@ class CompensationOutline:
 def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
     """Outline of a single instrument."""
     outline = CompensationOutline(result, [record])
-    one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.dv, result.flags)
+    one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.flags)
     outline.instruments.append(one)
     outline.add_component("a_x", indicated, result.ax, result.u_ax)
     return outline
@@ -185,7 +167,7 @@ def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: Compensat
             np.asarray(item.axes[0], dtype=float),
             result.each[i] if result.each.size else result.flags,
         )
-        one, along = _indication_of(record, item.calibration, begins, result.f @ axis, result.dv @ axis, flags)
+        one, along = _indication_of(record, item.calibration, begins, result.f @ axis, flags)
         outline.instruments.append(one)
         for k, share in enumerate(from_axes[:, i]):
             indicated[k] += share * along
@@ -234,7 +216,10 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
     force = h * middles(record.f[:, 0])
     scale = 1.0 if record.direct else scale_factor
     before, after = (np.cumsum(scale * error) for error in (turn / scale_factor - force, result.dv - force))
-    return _as_residuals(record, slice(None), psi, before, after, "m/s" if record.direct else "rad")
+    number, nothing = np.arange(1, before.size + 1), np.broadcast_to(0.0, before.size)
+    segment = record.segment_index if record.segment_index.size else np.zeros(before.size, np.int32)
+    unit = "m/s" if record.direct else "rad"
+    return Residuals(number, record.t, psi, nothing, before, after, nothing, segment, unit=unit)
 
 
 def in_windows(residuals: Residuals) -> Residuals:
@@ -270,21 +255,13 @@ def error_figure(errors: Residuals) -> Figure:
 
 
 def _error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
-    spectrum = order_spectrum(in_windows(errors), scale_factor, noise)
-    plot = Plot(
-        "compensation-spectrum",
-        "Error in revolution order.",
-        "revolution order",
-        "log amplitude of the error of a_x [µg]",
-    )
-    plot.line(spectrum.order, spectrum.before / MICRO_G, "as indicated", "before")
-    plot.line(spectrum.order, spectrum.after / MICRO_G, "compensated", "after")
-    if any(noise):
-        plot.dashed(spectrum.order, spectrum.noise / MICRO_G, "noise alone", "muted")
-    return plot.caption(
+    drawn = spectrum_figure(order_spectrum(in_windows(errors), scale_factor, noise))
+    caption = (
         "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
         "the servo at order 2. After a good compensation no order stands out of the noise."
     )
+    title = "Error in revolution order."
+    return replace(drawn, key="compensation-spectrum", title=title, caption=caption, notes=())
 
 
 def force_figure(outline: CompensationOutline) -> Figure:
@@ -357,35 +334,6 @@ def result_figure(result: Compensated | CompensatedSet) -> Figure:
         for key in shown:
             plot.line(t, columns[f"u_{key}"] / MICRO_G, f"u({names[key][0]}) of a row", names[key][1])
     return plot.caption("Compensated specific force, and its standard uncertainty.")
-
-
-def correction_spectrum(instrument: Indication) -> tuple[Array, Array]:
-    """Revolution orders, and the amplitude of the correction [m/s^2] at each, from the leading rows."""
-    spectrum = order_spectrum(in_windows(instrument.leading), instrument.scale_factor)
-    return spectrum.order, spectrum.before
-
-
-def orders_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure | None:
-    """Spectrum of the correction of each instrument in its own revolution order, over at most six decades.
-
-    None if no output turns far enough.
-    """
-    plot = Plot("compensation-orders", "What was taken out, by revolution order.", height=2.8)
-    drawn = False
-    for name, instrument in zip(names, outline.instruments, strict=True):
-        order, amplitude = correction_spectrum(instrument)
-        if (amplitude > 0.0).any():
-            shown = np.maximum(amplitude, 1e-6 * float(np.nanmax(amplitude)))
-            title = name if len(names) > 1 else ""
-            plot.panel("revolution order", "log amplitude of the correction [µg]", title)
-            plot.line(order, shown / MICRO_G, "correction")
-            drawn = True
-    if not drawn:
-        return None
-    return plot.caption(
-        "The cross-coupling turns with the output and stands at order 1, pulling at order 2, harmonics of the "
-        "calibration at theirs."
-    )
 
 
 def flag_figure(outline: CompensationOutline) -> Figure | None:
@@ -462,7 +410,6 @@ def compensation_page(
     if not single:
         sections.append(_misfit(outline, names))
     direct = outline.instruments[0].calibration.direct
-    sections += [] if direct else [_orders(outline, names)]
     if single:
         sections.append(_reference(outline))
     sections.append(_flags(outline, names))
@@ -543,14 +490,6 @@ def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
     if faults == 0:
         notice = Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
     return Section(title, anchor, (notice, misfit_figure(outline, names)))
-
-
-def _orders(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    figure = orders_figure(outline, names)
-    nothing = "No part of the record turns far enough, or nothing turns with the output."
-    part = f"Of the first {count(LEADING_ROWS)} rows. Figures against time show the whole record."
-    shown = (figure or Notice("info", nothing), Text(part) if outline.size > LEADING_ROWS else None)
-    return Section("Revolution orders", "orders", shown)
 
 
 def _reference(outline: CompensationOutline) -> Section:

@@ -173,11 +173,6 @@ def open_database(where: str | Path, *, create: bool = False, identity: bytes | 
         Create the store if there is none.
     identity:
         Identity of a new store (for restore); None: a random one.
-
-    Raises
-    ------
-    StoreError
-        If there is no store, it is not a piga store, it is damaged, or a newer piga made it.
     """
     if is_url(where):
         return _open_postgresql(str(where), create, identity)
@@ -327,13 +322,7 @@ def schema_version(connection: sa.Connection) -> int:
 
 
 def postgresql_database(where: str) -> Database:
-    """Connections to a PostgreSQL database. Its content is not checked.
-
-    Raises
-    ------
-    StoreError
-        If the URL is not valid or the extra is not installed.
-    """
+    """Connections to a PostgreSQL database. Its content is not checked."""
     try:
         import psycopg  # noqa: F401 - only whether it is there
     except ImportError:
@@ -374,26 +363,14 @@ _PARTS = 16
 
 
 def as_bytes(value: object, what: str) -> bytes:
-    """The value of a column that must hold bytes.
-
-    Raises
-    ------
-    StoreError
-        If it holds anything else.
-    """
+    """The value of a column that must hold bytes."""
     if not isinstance(value, bytes | memoryview):
         raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
     return bytes(value)
 
 
 def insert_blob(connection: sa.Connection, name: str, size: int, parts: Iterable[bytes]) -> None:
-    """Store a file under its announced digest and size. A file that the store already has is not stored again.
-
-    Raises
-    ------
-    StoreError
-        If the content does not have that digest and size.
-    """
+    """Store a file under its announced digest and size. A file that the store already has is not stored again."""
     if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
         return
     connection.execute(BLOB.insert().values(sha256=name, size=size))
@@ -453,24 +430,12 @@ def _content(name: str, rows: Iterable[sa.Row]) -> Iterator[bytes]:
 
 
 def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
-    """The parts of a stored file.
-
-    Raises
-    ------
-    StoreError
-        If the file is not in the store, or was changed.
-    """
+    """The parts of a stored file."""
     return _content(name, _parts_of_files(connection, name))
 
 
 def read_blobs(connection: sa.Connection, names: set[str]) -> dict[str, bytes]:
-    """Some small files, whole, by name. Each is checked as in :func:`read_blob`.
-
-    Raises
-    ------
-    StoreError
-        If one is not in the store, or was changed.
-    """
+    """Some small files, whole, by name. Each is checked as in :func:`read_blob`."""
     stored = groupby(_parts_of_files(connection, *names), key=lambda row: row.sha256)
     files = {name: b"".join(_content(name, rows)) for name, rows in stored}
     for name in names - files.keys():

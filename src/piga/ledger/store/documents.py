@@ -30,13 +30,7 @@ _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT
 
 
 def safe_name(name: str) -> PurePosixPath:
-    """A file name of a record as a path below some folder.
-
-    Raises
-    ------
-    StoreError
-        If it is absolute, leads upwards, or holds characters that have a special meaning on some file system.
-    """
+    """A file name of a record as a path below some folder."""
     parts = name.split("/")
     bad = any(
         part in ("", ".", "..")
@@ -53,13 +47,7 @@ def safe_name(name: str) -> PurePosixPath:
 
 
 def write_new(path: Path, parts: Iterator[bytes]) -> None:
-    """Write a new file. It appears under its name when it is complete, or not at all.
-
-    Raises
-    ------
-    StoreError
-        If it exists or cannot be written.
-    """
+    """Write a new file. It appears under its name when it is complete, or not at all."""
 
     def write(part: Path) -> None:
         with part.open("wb") as stream:
@@ -166,13 +154,7 @@ def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
 
 
 def parts_of(path: Path) -> Iterator[bytes]:
-    """The bytes of a file, in parts.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be read.
-    """
+    """The bytes of a file, in parts."""
     try:
         with open_regular(path, error=StoreError) as stream:
             while part := stream.read(PART):
@@ -190,13 +172,7 @@ def encode(document: msgspec.Struct) -> bytes:
 
 
 def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = False) -> T:
-    """Read a document of a known schema. ``strict`` also refuses duplicate keys, as for all JSON from outside.
-
-    Raises
-    ------
-    StoreError
-        If it is not such a document, or has a newer schema. ``what`` names it in the message.
-    """
+    """Read a document of a known schema. ``strict`` also refuses duplicate keys, as for all JSON from outside."""
     try:
         document = json_object(raw) if strict else msgspec.json.decode(raw, type=dict[str, Any])
         written = document.get("schema")
@@ -251,13 +227,7 @@ def moment(text: str) -> datetime:
 
 
 def checked_text(name: str, text: str) -> str:
-    """Check a line of text about a record: not empty, not too long, no control characters.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the argument.
-    """
+    """Check a line of text about a record: not empty, not too long, no control characters."""
     text = text.strip()
     if not text or len(text) > _MAX_TEXT or _CONTROL.search(text):
         raise ArgumentError(
@@ -282,14 +252,7 @@ def _checked_moment(name: str, text: str) -> str:
 
 
 def check_record(document: RecordDocument) -> None:
-    """Refuse a record that a command could not show. The same check applies to added and imported records.
-
-    Raises
-    ------
-    ArgumentError, DataError, StoreError
-        If a part is not valid. The message names it: name, serial, times, operator, reason, a text with a control
-        character, a file's name, role or digest, two files of one name, too many files.
-    """
+    """Refuse a record that a command could not show. The same check applies to added and imported records."""
     if not is_id(document.id):
         raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
     if document.supersedes is not None and not is_id(document.supersedes):

@@ -128,13 +128,7 @@ def is_export(path: Path) -> bool:
 
 
 class Export:
-    """An export opened for reading. Its members, their sizes and ``SHA256SUMS`` are checked when it is opened.
-
-    Raises
-    ------
-    StoreError
-        If it is not an export, or is damaged.
-    """
+    """An export opened for reading. Its members, their sizes and ``SHA256SUMS`` are checked when it is opened."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)

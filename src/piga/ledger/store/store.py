@@ -266,14 +266,7 @@ class Store:
         return document
 
     def check(self, connection: sa.Connection, document: RecordDocument) -> None:
-        """Refuse a record that must not be added or imported. Its files are stored already.
-
-        Raises
-        ------
-        PigaError
-            If a command could not show the record; if its calibration cannot be read or belongs to another
-            instrument; or if it supersedes a record of another instrument or laboratory, or a superseded one.
-        """
+        """Refuse a record that must not be added or imported. Its files are stored already."""
         check_record(document)
         self._check_calibration(connection, document)
         if document.supersedes is not None:
@@ -297,13 +290,7 @@ class Store:
                 )
 
     def amendable(self, name: str, serial: str) -> str:
-        """Name of a record that a new record of this instrument may supersede; ``name`` may be its number.
-
-        Raises
-        ------
-        StoreError, ArgumentError
-            If there is no such record, it is of another instrument, or it is superseded already.
-        """
+        """Name of a record that a new record of this instrument may supersede; ``name`` may be its number."""
         with self.database.reading() as connection:
             old = self._find(connection, name)
             self._check_amended(connection, old.id, serial, old)

@@ -1,4 +1,4 @@
-"""The comparison of term sets: tables and figure."""
+"""The comparison of term sets as tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Any
 
 from piga.records.calibration import Calibration
 from piga.records.terms import shown_unit
-from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, rounded, short, signed
 from piga.reports.render.page import Cell, Section, Table, TableOf, Text
 from piga.units import MICRO_G
@@ -25,7 +24,7 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
         "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
         "that it does not need raises both a little."
     )
-    shown = (comparison_table(document), _comparison_figure(document), _shift_table(document))
+    shown = (comparison_table(document), _shift_table(document))
     return (Section("Model choice", "model-choice", (lead, Text(comparison_words(document)), *shown)),)
 
 
@@ -93,30 +92,6 @@ def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
     remarks = ["least BIC"] if candidate["terms"] == document["best"] else []
     remarks += ["predicts as well as any"] if candidate["terms"] == document["best_prediction"] else []
     return Cell(", ".join(remarks), "good") if remarks else ""
-
-
-def _comparison_figure(document: dict[str, Any]) -> Figure | None:
-    sets = _determined(document)
-    if not sets:
-        return None
-    axis = Axis("set (number of the table)", "1", limits=(0.5, len(document["sets"]) + 0.5))
-    plot = Plot("term-sets", "Term sets: likelihood and prediction.", columns=2, height=2.4)
-    above = [one["bic_above_best"] + 1.0 for _, one in sets]
-    plot.panel(axis, "log BIC above the best + 1", "Likelihood")
-    plot.points([number for number, _ in sets], above, "BIC", "model", text=_names(sets))
-    predicted = [(number, one) for number, one in sets if "prediction_force_error" in one]
-    if predicted:
-        missed = [one["prediction_force_error"] / MICRO_G for _, one in predicted]
-        plot.panel(axis, "log error of prediction [µg]", "Prediction")
-        plot.points([number for number, _ in predicted], missed, "missed", "after", text=_names(predicted))
-    return plot.caption(
-        "Left: how far BIC lies above that of the best set (at 1). Right: rms error of the mean specific force "
-        "in parts of the record predicted from the others. Good: the set in use is among the lowest of both."
-    )
-
-
-def _names(sets: list[_NUMBERED]) -> tuple[str, ...]:
-    return tuple(", ".join(one["terms"]) for _, one in sets)
 
 
 def _determined(document: dict[str, Any]) -> list[_NUMBERED]:

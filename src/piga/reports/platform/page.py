@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -248,13 +249,8 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
         Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
         for m, r in comparison.models.items()
     )
-    both = (partial(histories_figure, comparison), partial(published_figure, comparison))
-    sections = (
-        Section("Models over the run", "models", both),
-        Section("Position", "position", (partial(position_figure, comparison),)),
-        *_preparation_section(comparison.run.scenario, comparison.preparation),
-    )
-    return page("Platform navigation", comparison.run.scenario, tiles, sections)
+    whole = comparison_page(comparison).only("histories", "spectrum", "notes", "given")
+    return replace(whole, title="Platform navigation", tiles=tiles)
 
 
 def comparison_page(
