@@ -38,16 +38,7 @@ def write_whole(
 ) -> Path:
     """Let ``write`` make a file of the same name in a hidden folder, sync it to disk, and rename it to ``target``.
 
-    Parameters
-    ----------
-    target:
-        The final file.
-    write:
-        Function that writes the file at the path it gets.
-    replace:
-        False: an existing ``target`` is never replaced.
-    remedy, kind:
-        Remedy and class of the error if the file cannot be written.
+    ``replace=False``: an existing ``target`` is never replaced. ``remedy`` and ``kind`` are those of the error.
 
     Raises
     ------
@@ -62,9 +53,6 @@ def write_whole(
         raise kind(f"{target}: exists already", remedy="choose another name") from None
     except OSError as error:
         raise kind(f"{target}: cannot be written ({error.strerror or error})", remedy=remedy) from None
-    except KeyboardInterrupt as stop:
-        stop.add_note(f"{target}: not written")
-        raise
     return target
 
 
@@ -242,22 +230,9 @@ def results(
 ) -> Iterator[tuple[Path, Path]]:
     """A hidden folder to fill with the results of one run, and the folder in which they appear at the end, or nothing does.
 
-    That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other inputs.
-
-    Parameters
-    ----------
-    folder:
-        Folder of the results; created if it does not exist.
-    command:
-        Name of the command, in a form that fits into a file name.
-    names:
-        Patterns of the names of all results of the command. Older files with such names are removed.
-    inputs:
-        Files that the command reads.
-    force:
-        True: existing results are replaced, but never an input.
-    option:
-        The option that names ``folder``.
+    That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other ``inputs``; with
+    ``force`` they are replaced, but never an input. ``names`` are patterns of all results of the ``command``; older files with
+    such names are removed. ``option`` names ``folder`` in messages.
 
     Raises
     ------
@@ -281,20 +256,16 @@ def results(
                 stage.rename(folder)
                 _sync(folder.parent)
     except KeyboardInterrupt as stop:
-        stop.add_note(_after_stop(folder))
+        left = f"{'as before' if folder.is_dir() else 'not made'}; nothing of this run was kept"
+        if any(folder.glob(f"{_MOVING}*")):
+            left = "results of two runs; run the command again with --force"
+        stop.add_note(f"{folder}: {left}")
         raise
     except OSError as error:
         raise PigaError(
             f"{option} {folder}: cannot be written ({error.strerror or error})",
             remedy="name a directory you may write to, with room",
         ) from None
-
-
-def _after_stop(folder: Path) -> str:
-    """What a folder of results holds after a stop, in words."""
-    if any(folder.glob(f"{_MOVING}*")):
-        return f"{folder}: results of two runs; run the command again with --force"
-    return f"{folder}: {'as before' if folder.is_dir() else 'not made'}; nothing of this run was kept"
 
 
 def check_results(folder: Path) -> None:

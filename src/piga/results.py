@@ -259,13 +259,9 @@ class Tabular:
         MissingPackageError
             If pandas is not installed.
         """
-        pandas = needed("pandas")
-        columns = self.table_columns()
-        frame = pandas.DataFrame({name: _plain_column(column) for name, column in columns.items()})
-        for name, column in columns.items():
-            if column.labels is not None:
-                frame[name] = pandas.Categorical.from_codes(np.asarray(column.values), list(column.labels))
-        frame.attrs["units"] = {name: column.unit for name, column in columns.items()}
+        needed("pandas")
+        frame: pd.DataFrame = self.to_arrow().to_pandas()
+        frame.attrs["units"] = {name: column.unit for name, column in self.table_columns().items()}
         if self.table_notes():
             frame.attrs["notes"] = list(self.table_notes())
         return frame

@@ -345,17 +345,8 @@ PhaseSourceOption = Annotated[str | None, option("NAME", "Angle that turns the c
 ForceOption = Annotated[bool, flag("--force", "Replace existing results.")]
 
 
-_TYPE = re.compile(r" <([^>]+)>| (?:TEXT|PATH|FLOAT|INTEGER RANGE|INTEGER)(?![\w.])")
-"""The type that Python has for the value of an option, in help."""
-
-
-def _choices(named: bool, match: re.Match[str]) -> str:
-    """The choices of an option whose value has no name; nothing for another type."""
-    return f" {match[1]}" if not named and "|" in (match[1] or "") else ""
-
-
-_HYPHEN = "\u2011"
-"""Stands for a hyphen while help is wrapped, so that no name is broken at one."""
+_TYPE = re.compile(r" <(?:list\[)?(?:path|str|int|float)\]?>", re.IGNORECASE)
+"""The Python type of an argument, in help."""
 
 
 _LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy"
@@ -369,7 +360,7 @@ _GONE = {
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help names values as its user does, not by their Python types, and breaks no name."""
+    """A command whose help names values as its user does, not by their Python types."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Refuse an option that the command had, with what takes its place."""
@@ -380,32 +371,12 @@ class PlainCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
     def get_help(self, ctx: Any) -> str:
-        """The whole help."""
-        return super().get_help(ctx).replace(_HYPHEN, "-")
+        """The whole help, without the Python types of arguments."""
+        return _TYPE.sub(lambda match: " " * len(match[0]), super().get_help(ctx))
 
     def get_short_help_str(self, limit: int = 0) -> str:
         """The first sentence for the list of a group: whole, in as many lines as it takes."""
         return super().get_short_help_str(max(limit, _LONGEST))
-
-    def format_help_text(self, ctx: Any, formatter: Any) -> None:
-        """Write what the command does."""
-        kept, self.help = self.help, (self.help or "").replace("-", _HYPHEN)
-        super().format_help_text(ctx, formatter)
-        self.help = kept
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections of arguments and options."""
-        sections: dict[str, list[tuple[str, str]]] = {"argument": [], "option": []}
-        for param in self.get_params(ctx):
-            record = param.get_help_record(ctx)
-            if record is not None:
-                named = getattr(param, "metavar", None) is not None
-                words = _TYPE.sub(partial(_choices, named), record[0])
-                sections[param.param_type_name].append((words, record[1].replace("-", _HYPHEN)))
-        for title, name in (("Arguments", "argument"), ("Options", "option")):
-            if sections[name]:
-                with formatter.section(title):
-                    formatter.write_dl(sections[name])
 
 
 class CommandGroup(TyperGroup):

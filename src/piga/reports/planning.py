@@ -33,7 +33,6 @@ def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
     """The figures of a plan by name."""
     drawn: dict[str, Callable[[], Figure]] = {
         "positions": partial(_dwell_figure, plan),
-        "uncertainty": partial(_uncertainty_figure, plan),
         "duration": partial(_duration_figure, plan),
     }
     return drawn if plan.request.direct else drawn | {"lock": partial(_lock_figure, plan)}
@@ -60,28 +59,6 @@ def _dwell_figure(plan: Plan) -> Figure:
     plot.line(np.arange(1, len(chosen) + 1), dwells, "dwell", "after", mark="bars", text=named)
     return plot.caption(
         "The whole time goes to a few positions; the others would add less per second, moves counted."
-    )
-
-
-def _uncertainty_figure(plan: Plan) -> Figure:
-    """Predicted standard uncertainty of each coefficient over that of the plan, for the standard plans."""
-    number = np.arange(1, len(plan.names) + 1)
-    roles: tuple[Role, ...] = ("z", "y", "x", "before")
-    plot = Plot(
-        "plan-uncertainty", "Uncertainty of the standard plans over that of this plan",
-        named_axis("coefficient", tuple(plan.names)), "log standard uncertainty, ratio",
-    )  # fmt: skip
-    plot.marked(number, np.ones(number.size), "planned", "after")
-    for k, prediction in enumerate(plan.standard):
-        ratio = np.array([prediction.std(name) / plan.best.std(name) for name in plan.names])
-        place = number + 0.09 * (k - 0.5 * (len(plan.standard) - 1))
-        known = np.isfinite(ratio)
-        if known.any():
-            text = tuple(f"{n}: {short(r)}" for n, r, ok in zip(plan.names, ratio, known, strict=True) if ok)
-            plot.points(place[known], ratio[known], prediction.name, roles[k % len(roles)], text=text)
-    return plot.caption(
-        "Type A, same total time. Above 1 the standard plan is less certain; a plan without a point cannot separate "
-        "the terms."
     )
 
 
@@ -154,10 +131,10 @@ _CRITERIA = {
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
     lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
-    places, spread = partial(_dwell_figure, plan), partial(_uncertainty_figure, plan)
+    places = partial(_dwell_figure, plan)
     sections = [
         Section("The test", "the-test", (lead, places, _visit_table(plan))),
-        Section("What it will give", "what-it-gives", (_uncertainty_table(plan), spread)),
+        Section("What it will give", "what-it-gives", (_uncertainty_table(plan),)),
         Section("Time", "time", (_cheapest(plan), partial(_duration_figure, plan))),
     ]
     if not plan.request.direct:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -186,13 +184,3 @@ def test_what_is_read_of_an_export_is_what_was_checked(tmp_path: Path, local: St
         assert len(list(export.entries())) == 2
         for name in export.file_names():
             assert b"".join(export.file(name))
-
-
-def test_a_database_put_in_place_of_a_store_is_refused(tmp_path: Path, local: Store) -> None:
-    path = local.database.path
-    assert path is not None
-    with closing(sqlite3.connect(tmp_path / "foreign.sqlite")) as foreign:
-        foreign.execute("CREATE TABLE piga_head (a)")
-    (tmp_path / "foreign.sqlite").replace(path)
-    with pytest.raises(StoreError, match="a SQLite database of another program"):
-        list(local.records())

@@ -193,9 +193,7 @@ def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
     _check_file(path)
     mode = "rw" if writable else "ro"
     uri = f"{path.resolve().as_uri()}?mode={mode}"
-    database = Database(
-        str(path), _sqlite_engine(lambda: _of_a_store(path, connect_sqlite(uri)), NullPool), path
-    )
+    database = Database(str(path), _sqlite_engine(lambda: connect_sqlite(uri), NullPool), path)
     if writable and path.with_name(f"{path.name}-journal").exists():
         _roll_back(uri)
     _check_version(database)
@@ -231,7 +229,7 @@ def _check_file(path: Path) -> None:
             remedy="check --store, or restore a backup",
         )
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
-        raise _foreign(path)
+        raise StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
 
 
 def connect_sqlite(uri: str) -> sqlite3.Connection:
@@ -240,18 +238,6 @@ def connect_sqlite(uri: str) -> sqlite3.Connection:
     for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
         connection.execute(f"PRAGMA {setting}")
     return connection
-
-
-def _of_a_store(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
-    """The connection, after a second check of the application id: the file may have been replaced since the first."""
-    if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION_ID,):
-        connection.close()
-        raise _foreign(path)
-    return connection
-
-
-def _foreign(path: Path) -> StoreError:
-    return StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
 
 
 def _sqlite_engine(connect: Callable[[], sqlite3.Connection], pool: Any) -> sa.Engine:
