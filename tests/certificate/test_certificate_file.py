@@ -126,15 +126,6 @@ def test_it_is_not_issued_before_the_evaluation(cal):
     assert missing_items(complete(), west) == []
 
 
-def test_the_working_copy_has_the_cautions(cal):
-    doubtful = replace(cal, notes=("segment 3 moves k0 by 4 u",))
-    issued, copy = (plain(certificate_html(complete(), doubtful, working_copy=one)) for one in (False, True))
-    assert "moves k0" not in issued
-    assert copy.lower().count("segment 3 moves k0 by 4 u") == 1
-    assert "not to be issued" in copy
-    assert "Doubt: segment 3 moves k0 by 4 u." in copy
-
-
 def test_what_the_calibration_must_have(cal):
     data = complete()
     few = tuple(replace(c, degrees_of_freedom=0.5) if c.name == "k0" else c for c in cal.coefficients)

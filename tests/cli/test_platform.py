@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from tests.cli.runner import exit_code, invoked
+from tests.cli.runner import exit_code
 from tests.platform.conftest import INTERPRETED
 
 STEP = "8 s" if INTERPRETED else "2 s"
@@ -101,7 +97,7 @@ def test_gyro_accelerometers_get_their_own_page(capsys, scenario, tmp_path):
         (("compare", "absent.toml"), "absent.toml: cannot be read"),
         (("align", "sway.toml", "--out", "x"), "needs a base at rest"),
         (("identify", "short.toml", "--out", "x"), "two turns of the cases"),
-        (("simulate", "short.toml", "--out", "x", "--every", "0"), "--every"),
+        (("simulate", "short.toml", "--out", "x", "--every", "2"), "--every is gone"),
     ],
 )
 def test_wrong_use_ends_with_two_and_one_message(capsys, monkeypatch, tmp_path, arguments, message):
@@ -112,42 +108,3 @@ def test_wrong_use_ends_with_two_and_one_message(capsys, monkeypatch, tmp_path, 
     assert code == 2
     assert message in streams.err
     assert "Traceback" not in streams.err
-
-
-SCENARIO = """\
-[site]
-latitude = "40 deg"
-[run]
-duration = "100 s"
-[sensors]
-gimbal_noise = "1 arcsec"
-"""
-
-
-def _tables(command: str, folder: Path, every: int) -> dict[str, pa.Table]:
-    """Tables of a run of 100 s, written with ``--every``."""
-    out = folder / f"{command}-{every}"
-    done = invoked("platform", command, folder / "s.toml", "--out", out, "--every", every)
-    assert done.exit_code == 0, done.exception
-    return {path.name: pq.read_table(path) for path in out.glob("*.parquet")}
-
-
-def test_every_n_th_row(tmp_path: Path) -> None:
-    """States are thinned; velocity increments are those from row to row, so that no velocity is lost."""
-    every = 7
-    (tmp_path / "s.toml").write_text(SCENARIO)
-    whole, thin = (_tables("simulate", tmp_path, n) for n in (1, every))
-    assert set(thin) == {"readouts.parquet", "truth.parquet"}
-    assert whole["readouts.parquet"].schema.field("dvx").metadata == {b"unit": b"m/s"}
-    rows = 100 // every
-    for name, table in thin.items():
-        assert table.num_rows == 1 + rows
-        assert table.schema.equals(whole[name].schema, check_metadata=True)
-        for column in table.column_names:
-            values, kept = (t[name].column(column).to_numpy() for t in (whole, thin))
-            if column.startswith("dv"):
-                assert np.isnan(kept[0])
-                sums = values[1 : 1 + rows * every].reshape(rows, every).sum(axis=1)
-                np.testing.assert_allclose(kept[1:], sums, rtol=1e-12, atol=1e-15)
-            else:
-                np.testing.assert_array_equal(kept, values[::every])

@@ -240,13 +240,12 @@ def shard_size(records: int, seconds: float) -> int:
 
 @dataclass(frozen=True)
 class ShardReport:
-    """Report of a worker on a finished shard: records, failed records, processor time [s], and its own name."""
+    """Report of a worker on a finished shard: records, failed records, processor time [s]."""
 
     shard: int
     records: int
     failed: int
     seconds: float
-    worker: str
 
 
 def run_shard(folder: str, shard: int) -> ShardReport:
@@ -254,16 +253,15 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     import numba
 
     campaign = _opened(folder, _stamp(folder))
-    worker = f"{socket.gethostname()}:{os.getpid()}"
     if shard in campaign.parts():
-        return ShardReport(shard, 0, 0, 0.0, worker)
+        return ShardReport(shard, 0, 0, 0.0)
     numba.set_num_threads(1)
     began = time.process_time()
     rows = [row for number in campaign.records_of(shard) for row in _rows(campaign, number)]
     _write_part(campaign, shard, rows)
     heads = [row for row in rows if row["name"] is None]
     failed = sum(row["error_class"] is not None for row in heads)
-    return ShardReport(shard, len(heads), failed, time.process_time() - began, worker)
+    return ShardReport(shard, len(heads), failed, time.process_time() - began)
 
 
 def _stamp(folder: str) -> int:

@@ -24,7 +24,6 @@ from piga.reports.calibration.tables import (
     factor,
     freedom,
     monte_carlo_interval,
-    sentence,
 )
 from piga.reports.render.numbers import Rounded, count, pretty_unit, printed, relative, rounded, significant
 from piga.reports.render.page import Table, TableColumn, TableOf, resource, template
@@ -68,12 +67,8 @@ def certificate_html(
     before: Calibration | None = None,
     *,
     record_sha256: str = "",
-    working_copy: bool = False,
 ) -> str:
     """The certificate as HTML text. The same input always gives the same bytes.
-
-    ``working_copy`` gives the copy for the laboratory. It is marked as such and begins with the cautions of the
-    calibration, for the person who authorises the certificate.
 
     Raises
     ------
@@ -88,7 +83,6 @@ def certificate_html(
         number_css=_css_string(data.certificate.number),
         identity=_identity(data),
         parts=_parts(data, calibration, before),
-        cautions=_cautions(calibration) if working_copy else None,
         statements=[one for one in statements(data, calibration) if one.ref_type != TRACEABILITY],
         record=_record(calibration, record_sha256),
     )
@@ -101,15 +95,6 @@ def is_draft(data: CertificateFile) -> bool:
     return any(
         given == name for given, name in zip(names, (data.laboratory.name, data.customer.name), strict=True)
     )
-
-
-def _cautions(calibration: Calibration) -> tuple[str, list[str]]:
-    """The verdict on the calibration and its doubts, for the laboratory."""
-    verdict = calibration.verdict
-    first = [doubt.remedy for doubt in verdict.doubts[:1] if doubt.remedy]
-    return verdict.headline, [
-        f"{sentence(words)}." for words in (*first, *(d.words for d in verdict.doubts[1:]))
-    ]
 
 
 def write_certificate(html: str, path: Path) -> Path:

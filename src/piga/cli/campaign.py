@@ -198,35 +198,17 @@ def _run_document(campaign: Campaign, report: RunReport) -> dict[str, Any]:
         "records_of_this_run": sum(r.records for r in report.reports),
         "failed_in_this_run": sum(r.failed for r in report.reports),
         "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
-        "workers": _workers(report),
     }
-
-
-def _workers(report: RunReport) -> list[dict[str, Any]]:
-    names = sorted({r.worker for r in report.reports})
-    return [
-        {
-            "worker": name,
-            "shards": sum(r.worker == name for r in report.reports),
-            "records": sum(r.records for r in report.reports if r.worker == name),
-            "seconds": sum(r.seconds for r in report.reports if r.worker == name),
-        }
-        for name in names
-    ]
 
 
 def _run_lines(report: RunReport) -> list[str]:
     from piga.reports.render.numbers import duration
 
-    records, failed = (sum(getattr(r, name) for r in report.reports) for name in ("records", "failed"))
-    lines = [f"{report.done} of {report.shards} shards done; {records} records in this run, {failed} failed"]
-    workers = _workers(report)
-    lines += [
-        f"  worker {w['worker']}: {w['shards']} shards, {w['records']} records, {duration(w['seconds'])} of processor time"
-        for w in workers[:16]
-    ]
-    lines += [f"  and {len(workers) - 16} more workers"] if len(workers) > 16 else []
-    return lines
+    records, failed, seconds = (
+        sum(getattr(r, name) for r in report.reports) for name in ("records", "failed", "seconds")
+    )
+    here = f"{records} records in this run, {failed} failed, {duration(seconds)} of processor time"
+    return [f"{report.done} of {report.shards} shards done; {here}"]
 
 
 def _status(campaign: Campaign) -> dict[str, Any]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from piga.records.calibration import Calibration
 
 
-RESULTS = ("certificate.html", "working-copy.html", "certificate.xml")
+RESULTS = ("certificate.html", "certificate.xml")
 """Names of the result files of ``issue``."""
 
 
@@ -74,7 +74,7 @@ def issue(
     """Write certificate.html (A4); with --dcc also certificate.xml.
 
     Refuses if anything is missing, and a number that another certificate in DIR has; keep a list of numbers for other folders.
-    Also writes working-copy.html for the laboratory, with the cautions of the calibration.
+    Prints the cautions of the calibration, for the person who authorises the certificate.
     """
     import hashlib
 
@@ -94,19 +94,13 @@ def issue(
     xml = _xml(file, certified, before, key, certificate) if dcc else None
     if not force:
         _refuse_used_number(file.certificate.number, html, out)
-    copy = certificate_html(
-        file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest(), working_copy=True
-    )
     inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
     cautions = [doubt.words for doubt in certified.verdict.doubts]
     with deliver(out, "certificate", RESULTS, inputs, force=force, as_json=as_json) as to:
-        names = ["certificate.html", "working-copy.html"]
-        write_certificate(html, to / names[0])
-        write_certificate(copy, to / names[1])
+        write_certificate(html, to / RESULTS[0])
         if xml is not None:
-            names.append("certificate.xml")
-            (to / names[2]).write_bytes(xml)
-        files = [f"{to.folder}/{name}" for name in names]
+            (to / RESULTS[1]).write_bytes(xml)
+        files = [f"{to.folder}/{name}" for name in RESULTS[: 1 if xml is None else 2]]
         document = {"number": file.certificate.number, "files": files, "cautions": cautions}
         to.tell(lambda: document, str)
     if is_draft(file):

@@ -353,6 +353,9 @@ _LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port
 _STREAM = "compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json"
 _GONE = {
     ("compensate", "--resume"): "run the same command again without it",
+    **dict.fromkeys(
+        (("simulate", "--every"), ("navigate", "--every")), "take every N-th row of the Parquet file"
+    ),
     **dict.fromkeys((("ui", name) for name in ("--host", "--tls", "--password-file")), _LOOPBACK),
     **dict.fromkeys((("ui", name) for name in ("--live", "--phase")), _STREAM),
 }

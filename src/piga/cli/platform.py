@@ -46,17 +46,11 @@ Scenario = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results and report.html.")]
-Every = Annotated[
-    int,
-    typer.Option(metavar="N", help="Write every N-th row. Increments are summed; results use all rows.", min=1),
-]
 _Json = Annotated[bool, flag("--json", "Print the result as JSON.")]
 
 
 @app.command()
-def simulate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
-) -> None:
+def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Simulate the readouts and the truth.
 
     Writes readouts.parquet, truth.parquet, the scenario and a page.
@@ -69,7 +63,7 @@ def simulate(
     with _results(out, "simulate", scenario, force, json, *files) as to:
         run = _simulated(load_scenario(scenario))
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
-            _parquet(table, to / name, every)
+            _parquet(table, to / name)
         (to / SCENARIO).write_bytes(scenario.read_bytes())
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
@@ -142,9 +136,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
 
 
 @app.command()
-def navigate(
-    scenario: Scenario, out: Out, every: Every = 1, force: ForceOption = False, json: _Json = False
-) -> None:
+def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json = False) -> None:
     """Navigate with every model of the scenario.
 
     Writes navigation-MODEL.parquet and a page.
@@ -157,7 +149,7 @@ def navigate(
         comparison = _compared(load_scenario(scenario))
         files = {name: f"navigation-{name}.parquet" for name in comparison.models}
         for name, run in comparison.models.items():
-            _parquet(navigation_table(run), to / files[name], every)
+            _parquet(navigation_table(run), to / files[name])
         worst = {m: float(r.errors.horizontal.max()) for m, r in comparison.models.items()}
         document = {
             "models": {m: {"position_error_m": v, "file": files[m]} for m, v in worst.items()},
@@ -231,19 +223,9 @@ def _results(
     return deliver(out, f"platform-{command}", tuple(every), inputs, force=force, as_json=as_json)
 
 
-def _parquet(table: Any, path: Path, every: int) -> None:
-    """Write every N-th row from the first, with the sums of the velocity increments since the row before."""
-    import numpy as np
-    import pyarrow as pa
+def _parquet(table: Any, path: Path) -> None:
     import pyarrow.parquet as pq
 
-    if every > 1:
-        whole, table = table, table.take(pa.array(np.arange(0, table.num_rows, every)))
-        for index, field in enumerate(whole.schema):
-            if field.name.startswith("dv"):
-                first, rest = np.split(whole.column(index).to_numpy(), [1])
-                sums = np.add.reduceat(rest, np.arange(0, len(rest), every))[: table.num_rows - 1]
-                table = table.set_column(index, field, pa.array(np.concatenate((first, sums))))
     pq.write_table(table, path, write_page_checksum=True)
 
 
