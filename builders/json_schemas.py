@@ -20,7 +20,7 @@ COEFFICIENTS = ("share", "shift", "contributions", "sensitivities", "effects", "
 MAPS = {
     "calibrate": ("input_sha256", "leverage", "options", *COEFFICIENTS),
     "calibrate-set": ("terms", "input_sha256"),
-    "campaign-collect": ("set", "failed", "seen", "seen_where_missed"),
+    "campaign-collect": ("set", "failed", "seen"),
     "check": ("input_sha256",),
     "compensate": ("flags", "repairs"),
     "init": ("comments",),

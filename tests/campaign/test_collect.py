@@ -13,8 +13,6 @@ from piga.cli.main import app
 from piga.errors import PigaError
 from tests.campaign.small import SMALL, collected, computed, rows, written
 
-ENDS = ("low", "truth", "high")
-
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
@@ -36,13 +34,6 @@ def test_figures_are_those_of_the_rows(small):
         assert group["nees"] == pytest.approx(np.mean([row["nees"] for row in own]), rel=1e-12)
         names = {name for row in own for name in row["seen"]}
         assert group["seen"] == {name: np.mean([name in row["seen"] for row in own]) for name in sorted(names)}
-        missed = [
-            row for row in own if any(not a <= t <= b for a, t, b in zip(*map(row.get, ENDS), strict=True))
-        ]
-        assert group["missed"] == len(missed)
-        names = {name for row in missed for name in row["seen"]}
-        shares = {name: np.mean([name in row["seen"] for row in missed]) for name in sorted(names)}
-        assert group["seen_where_missed"] == shares
         for k, c in enumerate(group["coefficients"]):
             value, u, low, high, truth, off = (
                 np.array([row[name][k] for row in own])

@@ -112,7 +112,6 @@ class GroupResult:
     """The results of one group: figures by coefficient, records that failed by class, NEES of all coefficients together.
 
     ``seen`` is the share of the records whose calibration reports a kind of noise, suggests a term, or doubts the noise.
-    ``missed`` counts the records in which an interval misses its truth, ``seen_where_missed`` is ``seen`` of these.
     """
 
     group: CampaignGroup
@@ -122,8 +121,6 @@ class GroupResult:
     nees: float | None
     nees_expected: float | None
     seen: dict[str, float]
-    missed: int
-    seen_where_missed: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -286,19 +283,15 @@ def _group_results(campaign: Campaign, heads: pa.Table, rows: pa.Table) -> list[
         + [("abs_z", "max")],
     )
     by_group = {row["group"]: row for row in _grouped(heads, ["group"], [("record", "count"), *_NEES])}
-    missed = set(table.filter(pc.equal(table.column("held"), 0.0)).column("record").to_pylist())
-    counts: dict[int, tuple[Counter[str], Counter[str], Counter[str], set[int]]] = {}
-    columns = (heads.column(name).to_pylist() for name in ("group", "record", "error_class", "seen"))
-    for group, record, error, seen in zip(*columns, strict=True):
-        failed, every, where, records = counts.setdefault(group, (Counter(), Counter(), Counter(), set()))
+    counts: dict[int, tuple[Counter[str], Counter[str]]] = {}
+    columns = (heads.column(name).to_pylist() for name in ("group", "error_class", "seen"))
+    for group, error, seen in zip(*columns, strict=True):
+        failed, every = counts.setdefault(group, (Counter(), Counter()))
         failed.update([error] if error else [])
         every.update(seen or ())
-        if record in missed:
-            records.add(record)
-            where.update(seen or ())
     results = []
     for index, head in sorted(by_group.items()):
-        failed, every, where, records = counts[index]
+        failed, every = counts[index]
         results.append(
             GroupResult(
                 group=campaign.plan.groups[index],
@@ -308,8 +301,6 @@ def _group_results(campaign: Campaign, heads: pa.Table, rows: pa.Table) -> list[
                 nees=finite(head["nees_mean"]),
                 nees_expected=finite(head["nees_expected_mean"]),
                 seen={name: count / head["record_count"] for name, count in sorted(every.items())},
-                missed=len(records),
-                seen_where_missed={name: count / len(records) for name, count in sorted(where.items())},
             )
         )
     return results
@@ -435,8 +426,6 @@ def _group_document(result: GroupResult) -> dict[str, Any]:
         "nees_expected": result.nees_expected,
         "coefficients": [msgspec.to_builtins(c) for c in result.coefficients],
         "seen": result.seen,
-        "missed": result.missed,
-        "seen_where_missed": result.seen_where_missed,
     }
 
 

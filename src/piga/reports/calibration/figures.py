@@ -86,14 +86,14 @@ def residual_figure(
     single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
     ends = _ends(t, residuals)[: 0 if single else None]
     kept, gaps = np.insert(np.arange(t.size), ends, ends - 1), ends + np.arange(ends.size)
-    rows, segments = np.asarray(residuals.row)[kept], np.asarray(residuals.segment)[kept]
+    segments = np.asarray(residuals.segment)[kept]
     plot = Plot(key, f"{quantity[0].capitalize()} against time.", height=2.1)
     both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
     for role, values in both:
         y = np.asarray(values)[kept] / per
         y[gaps] = np.nan
         plot.panel(f"elapsed time [{unit}]", Axis(*quantity), role.capitalize())
-        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", rows=rows, segments=segments)
+        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", segments=segments)
     before = "Before: measured output less K a_x with the nominal K."
     if per == ARCSEC:
         before = "Before: measured angle less the nominal model without cross-coupling."

@@ -30,13 +30,13 @@ from piga.reports.calibration.figures import (
     residual_figure,
     segment_figure,
 )
-from piga.reports.calibration.model_choice import comparison_sections
 from piga.reports.calibration.tables import (
     LEVERAGE_LEAD,
     OWN_TABLES,
     PROPAGATION_LEAD,
     coefficient_table,
     common_coefficients,
+    comparison_sections,
     correlation_table,
     facts_table,
     freedom,

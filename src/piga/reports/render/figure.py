@@ -76,8 +76,7 @@ class Series(Result):
 
     ``upper`` is used with mark ``band``: the band lies between ``y`` and ``upper``.
     ``error`` draws symmetric error bars of that half-length. ``text`` is a hover label per point.
-    ``rows`` is the row of the record of each point, for a curve that shows only the outline of its rows: the page
-    then says how many of the rows in view are drawn. ``segments`` is the index of the segment of each point: the reader
+    ``segments`` is the index of the segment of each point: the reader
     can then select one, and the page marks it wherever it is shown.
     """
 
@@ -90,7 +89,6 @@ class Series(Result):
     error: ArrayLike | None = None
     dashed: bool = False
     text: Sequence[str] | None = None
-    rows: ArrayLike | None = None
     segments: ArrayLike | None = None
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -88,8 +88,6 @@ def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
         "legendgroup": _text(series.name),
         "hovertemplate": _hover(series, panel),
     }
-    if series.rows is not None:
-        trace["customdata"] = np.asarray(series.rows).astype(int).tolist()
     if series.segments is not None:
         trace["meta"] = np.asarray(series.segments).astype(int).tolist()
     text = (

@@ -32,18 +32,6 @@
     steps.reduce((node, step) => node[step], layout)[last] = value;
   };
 
-  // Says how many of the rows in view are drawn, where a curve shows only the outline of its rows.
-  const tell = (figure, live) => {
-    const trace = live.data.find((item) => item.customdata);
-    if (!trace) return;
-    const axis = live._fullLayout[(trace.xaxis || "x").replace("x", "xaxis")];
-    const [low, high] = axis.range.map(Number);
-    const points = trace.customdata.filter((_, k) => trace.x[k] >= low && trace.x[k] <= high && trace.y[k] !== null);
-    const first = points.reduce((a, b) => Math.min(a, b), Infinity);
-    const last = points.reduce((a, b) => Math.max(a, b), -Infinity);
-    figure.querySelector("p.shown").textContent = points.length ? `In view: ${points.length} points of ${last - first + 1} rows.` : "In view: no point.";
-  };
-
   // A selected segment is marked in every figure and table: its points are ringed or drawn heavily, the others fade.
   const picker = document.getElementById("chosen");
   const names = picker ? [...picker.options].slice(1).map((option) => option.text) : [];
@@ -53,7 +41,7 @@
     const extra = [];
     const name = `segment ${names[selected]}`.replace(/&/g, "&amp;").replace(/</g, "&lt;");
     const add = (trace) => extra.push({
-      ...trace, meta: null, customdata: null, text: null, hoverinfo: "skip", hovertemplate: "", name,
+      ...trace, meta: null, text: null, hoverinfo: "skip", hovertemplate: "", name,
       legendgroup: "selected", showlegend: !extra.length, uid: `${trace.uid}-selected`,
     });
     const data = spec.data.map((trace) => {
@@ -111,9 +99,7 @@
     const own = touch.matches || narrow || printing ? { ...config, displayModeBar: false } : config;
     Plotly.react(live, data, layout, own)
       .then(() => {
-        tell(figure, live);
-        ["plotly_relayout", "plotly_click"].forEach((event) => live.removeAllListeners(event));
-        live.on("plotly_relayout", () => tell(figure, live));
+        live.removeAllListeners("plotly_click");
         live.on("plotly_click", ({ points: [point] }) => {
           if (Array.isArray(point.data.meta)) toggle(point.data.meta[point.pointNumber]);
         });
@@ -128,11 +114,6 @@
     });
   }, { rootMargin: "400px" });
   figures.forEach((figure) => {
-    if (specs.get(figure).data.some((trace) => trace.customdata)) {
-      const line = figure.querySelector(".live").insertAdjacentElement("afterend", document.createElement("p"));
-      line.className = "note shown";
-      line.textContent = "\u00a0";
-    }
     reserve(figure);
     observer.observe(figure);
   });
