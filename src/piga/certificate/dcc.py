@@ -308,18 +308,9 @@ def date_of_issue(root: etree._Element, path: Path) -> dt.date:
 
 
 def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool = True) -> None:
-    """Refuse a certificate that differs from what piga writes. The first difference is named.
+    """Refuse a certificate ``stated`` that differs from what piga writes ``again``. The first difference is named.
 
-    Parameters
-    ----------
-    stated:
-        Root of the certificate, without a signature.
-    again:
-        The same, written again from its attachments.
-    path:
-        For messages.
-    words:
-        Compare sentences, too. Another release of piga may word them otherwise.
+    Without ``words`` sentences are not compared: another release of piga may word them otherwise.
     """
     for one in (*stated.itersiblings(preceding=True), *stated.itersiblings(), *stated.iter()):
         if not isinstance(one.tag, str):

@@ -7,6 +7,7 @@ missing, :func:`certificate_html` issues nothing and lists all of them.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from piga.reports.calibration.tables import (
     monte_carlo_interval,
 )
 from piga.reports.render.numbers import Rounded, count, pretty_unit, printed, relative, rounded, significant
-from piga.reports.render.page import Table, TableColumn, TableOf, resource, template
+from piga.reports.render.page import Table, TableOf, resource, template
 
 _ACROSS = 5
 """Most coefficients side by side in a table of the certificate."""
@@ -203,18 +204,25 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
 
 
 def _result_table(calibration: Calibration, caption: str) -> Table:
-    columns = (
-        TableColumn("Coefficient", align="text"),
-        TableColumn("Meaning", align="text"),
-        TableColumn("Value"),
-        TableColumn("U (95 %)"),
-        TableColumn("Unit", align="text"),
-        TableColumn("U / value"),
-        TableColumn("ν"),
-        TableColumn("k"),
+    def number(c: Coefficient) -> Rounded:
+        scale = shown_unit(c.name, c.unit)[0]
+        return rounded(c.value * scale, c.expanded * scale)
+
+    def known(cell: Callable[[Coefficient], str], exact: str = "–") -> Callable[[Coefficient], str]:
+        return lambda c: "–" if not c.determined else exact if c.std == 0.0 else cell(c)
+
+    return (
+        TableOf(common_coefficients(calibration))
+        .text("Coefficient", lambda c: c.name)
+        .text("Meaning", lambda c: meaning_of(c.name))
+        .number("Value", lambda c: number(c).value if c.determined else "not determined")
+        .number("U (95 %)", known(lambda c: number(c).uncertainty, "given"))
+        .text("Unit", lambda c: pretty_unit(shown_unit(c.name, c.unit)[1] if c.determined else c.unit) or "1")
+        .number("U / value", known(lambda c: relative(c.value, c.expanded)))
+        .number("ν", known(freedom))
+        .number("k", known(factor))
+        .table(caption)
     )
-    rows = tuple(_result_row(c) for c in common_coefficients(calibration))
-    return Table(columns, rows, caption)
 
 
 def _monte_carlo(calibration: Calibration) -> list[str]:
@@ -226,19 +234,6 @@ def _monte_carlo(calibration: Calibration) -> list[str]:
     return [
         f"Shortest 95 % interval by Monte Carlo (JCGM 101), where JCGM 100 does not hold: {listed}. U is half its width."
     ]
-
-
-def _result_row(c: Coefficient) -> tuple[str, ...]:
-    if not c.determined:
-        return c.name, meaning_of(c.name), "not determined", "–", pretty_unit(c.unit), "–", "–", "–"
-    scale, unit = shown_unit(c.name, c.unit)
-    value, wide = c.value * scale, c.expanded * scale
-    number = rounded(value, wide)
-    head = (c.name, meaning_of(c.name), number.value)
-    if c.std == 0.0:
-        return (*head, "given", pretty_unit(unit) or "1", "–", "–", "–")
-    shown = (number.uncertainty, pretty_unit(unit) or "1", relative(value, wide))
-    return (*head, *shown, freedom(c), factor(c))
 
 
 def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:

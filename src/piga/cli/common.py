@@ -288,9 +288,7 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
         if outlet is not None:
             yield outlet(title, total)
         elif sys.stderr is not None and sys.stderr.isatty():
-            from piga.cli.bar import bar
-
-            with bar(title, total) as show:
+            with _bar(title, total) as show:
                 yield show
         else:
             WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
@@ -298,6 +296,39 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
+
+
+_WIDE = 90
+"""Columns of a terminal from which on the bar is long."""
+
+
+@contextmanager
+def _bar(title: str, total: int | None) -> Iterator[Show]:
+    """A line on stderr, drawn with rich, that shows what is done and how far it is. It disappears at the end."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.table import Column
+
+    console = Console(stderr=True)
+    words = TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
+    share = BarColumn(24 if console.width >= _WIDE else 8)
+    columns = (SpinnerColumn("line"), words, share, TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as drawn:
+        task = drawn.add_task(title, total=total)
+
+        def show(done: float, total: float | None, what: str) -> None:
+            said = f"{title}: {what}" if what else title
+            drawn.update(task, completed=done, total=total, description=said)
+
+        WHEN_COMPILED[:] = [lambda: drawn.update(task, description=f"{title}; {FIRST_USE}")]
+        yield show
 
 
 def _lines(title: str, every: float | None) -> Show:

@@ -26,14 +26,8 @@ if TYPE_CHECKING:
 def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
     """Run file, data file, its ``.sha256`` if there is one, and the files of a ``[stand]`` table.
 
-    Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down.
-
-    Parameters
-    ----------
-    run:
-        Run file.
-    digests:
-        SHA-256 of each input as it was read for the calibration: :attr:`piga.Calibration.provenance`.
+    Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down. ``digests``
+    are those of the inputs as they were read for the calibration.
     """
     run_file = read_run_file(run)
     named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]

@@ -195,14 +195,7 @@ def error_figures(
 ) -> tuple[Figure, ...]:
     """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
 
-    Parameters
-    ----------
-    record, result:
-        The record and its compensation.
-    scale_factor:
-        K [(rad/s)/(m/s^2)] that turns the output rate into the indicated force.
-    noise:
-        White noise of the angle [rad, rms] and angle random walk [rad/sqrt(s)], as the calibration found them.
+    ``scale_factor`` is K [(rad/s)/(m/s^2)]; ``noise`` the white noise of the angle [rad, rms] and its random walk [rad/sqrt(s)].
     """
     errors = compensation_errors(record, result, scale_factor)
     if record.direct:
@@ -391,18 +384,9 @@ def _coefficient_words(c: Coefficient) -> tuple[str, str]:
 def compensation_page(
     outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
 ) -> Page:
-    """The page of a compensation.
+    """The page of a compensation of instruments with these names.
 
-    Parameters
-    ----------
-    outline:
-        The outline of its result.
-    names:
-        Of the instruments.
-    files:
-        All files read, each with the SHA-256 of the bytes read.
-    options:
-        As given, in words.
+    ``files`` are all files read, each with the SHA-256 of the bytes read; ``options`` those given, in words.
     """
     single, kind = not outline.mounted, outline.records[0].kind
     serial = outline.instruments[0].calibration.serial

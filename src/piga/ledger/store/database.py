@@ -163,16 +163,9 @@ def is_url(where: str | Path) -> bool:
 
 
 def open_database(where: str | Path, *, create: bool = False, identity: bytes | None = None) -> Database:
-    """Open the database of a store. A hot journal is rolled back.
+    """Open the database of a store: a SQLite file, or PostgreSQL by URL. A hot journal is rolled back.
 
-    Parameters
-    ----------
-    where:
-        SQLite file, or URL of a PostgreSQL database.
-    create:
-        Create the store if there is none.
-    identity:
-        Identity of a new store (for restore); None: a random one.
+    ``create``: make the store if there is none, with this ``identity`` (for restore) or a random one.
     """
     if is_url(where):
         return _open_postgresql(str(where), create, identity)
