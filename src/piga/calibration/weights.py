@@ -284,7 +284,12 @@ def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> No
     """
     step, edges = design.run.median_step, design.run.segment_edges().astype(np.int64)
     if mode == "samples":
-        variance = float(d @ d) / max(design.rows - fitted, 1)
+        starts, square, freedom = edges[:-1], float(d @ d), design.rows - fitted
+        count = 0.5 * (np.add.reduceat(h, starts) + np.diff(edges))  # h of a sample that is left out: -1
+        if freedom > starts.size:  # otherwise the samples of a segment are too few to show their own noise
+            square -= float((np.add.reduceat(d, starts) ** 2 / np.maximum(count, 1.0)).sum())
+            freedom -= starts.size
+        variance = square / max(freedom, 1)
         return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
     least = math.sqrt(_ROUNDED / 12.0) * design.run.resolution
     noise = likeliest_levels(d, h, edges, step, fitted, max(rounding(design.run), least))

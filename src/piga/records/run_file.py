@@ -331,7 +331,7 @@ class UncertaintyTable(TomlTable, frozen=True):
     A string is the standard uncertainty of a normal distribution. :class:`~piga.records.distribution.Spread`
     describes other distributions. The entries below ``mounting_repeatability`` belong to particular stands and need
     the ``[stand]`` table. A ``..._repeatability`` has a new value in each segment (``angle_``, ``rate_``,
-    ``reference_``) or in each run (``mounting_``, ``levelling_``).
+    ``reference_``, ``direction_``) or in each run (``mounting_``, ``levelling_``).
     ``reference_id`` names the device that gives the reference. Runs with the same device share its errors.
     ``vibration`` is the bias along X0 by rectification: k2 times the variance of a vibration that the log does not show.
     ``waived`` names sources that are left out on purpose, each with its reason in one line.
@@ -348,6 +348,7 @@ class UncertaintyTable(TomlTable, frozen=True):
     temperature: Annotated[Quantity | Spread, in_unit("K")] | None = None
     vibration: _MicroG | None = None
     reference_repeatability: _PartsPerMillion | None = None
+    direction_repeatability: _ArcSeconds | None = None
     mounting_repeatability: _ArcSeconds | None = None
     levelling: Any = None
     angle_error: Any = None
@@ -399,6 +400,7 @@ Draw = Literal["reference", "run", "segment"]
 
 REPEATED: dict[str, tuple[str, Draw]] = {
     "reference_repeatability": ("reference_scale", "segment"),
+    "direction_repeatability": ("reference_misalignment", "segment"),
     "mounting_repeatability": ("reference_misalignment", "run"),
     "angle_repeatability": ("angle_error", "segment"),
     "rate_repeatability": ("rate_error", "segment"),

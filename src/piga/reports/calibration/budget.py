@@ -104,6 +104,7 @@ SOURCES = {
     "height": "height of the site",
     "servo": "servo that no term describes",
     "reference_repeatability": "reference, set anew at each position",
+    "direction_repeatability": "direction of the reference, set anew at each position",
     "mounting_repeatability": "mounting, set anew for each run",
     "levelling": "levelling of the stand",
     "angle_error": "angle of the head",
