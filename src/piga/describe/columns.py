@@ -159,6 +159,10 @@ class ColumnGuess:
         others = f"; or {', '.join(self.alternatives)}" if self.alternatives else ""
         return f"{WORDS[self.kind]}{axis}{unit}: {self.reason}{others}"
 
+    def but(self, kind: Kind, reason: str, *alternatives: str, **more: Any) -> ColumnGuess:
+        """The guess with another kind, for this reason."""
+        return replace(self, kind=kind, reason=reason, alternatives=alternatives, **more)
+
 
 @dataclass(frozen=True)
 class Values:
@@ -331,10 +335,7 @@ def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> l
             if abs(typical / g - 1.0) < 0.01 and np.nanmean(np.abs(size - typical) < 0.02 * typical) > 0.9:
                 names = ", ".join(one.name for one in three)
                 why = f"their names say nothing, but the squares of {names} add up to the square of {typical:.4g} {unit}"
-                triad = [
-                    replace(one, kind="force", axis=axis, unit=unit, reason=why, alternatives=("not used",))
-                    for axis, one in enumerate(three)
-                ]
+                triad = [one.but("force", why, "not used", axis=i, unit=unit) for i, one in enumerate(three)]
                 return [*guesses[:k], *triad, *guesses[k + 3 :]]
     return guesses
 
@@ -345,20 +346,13 @@ def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> Colum
     guess = ColumnGuess(name, kind, "its name", axis, unit, example=cells[0] if cells else "")
     forms = forms_of(cells[:50]) if cells and x is None else []
     if forms:
-        return replace(
-            guess,
-            kind="time",
-            stamp=forms[0],
-            unit="",
-            reason="its cells are time stamps",
-            alternatives=tuple(forms[1:]),
-        )
+        return guess.but("time", "its cells are time stamps", *forms[1:], stamp=forms[0], unit="")
     if kind == "segment" and measures(unit, "rad"):
-        return replace(guess, kind="stand-angle", reason=f"its name, and its unit {unit}")
+        return guess.but("stand-angle", f"its name, and its unit {unit}")
     if kind in UNITS and unit and not measures(unit, UNITS[kind][0]):
         return _by_unit(guess)
     if x is None and kind not in ("segment", "date"):
-        return replace(guess, kind="other", reason=_no_numbers(cells), unit="")
+        return guess.but("other", _no_numbers(cells), unit="")
     if kind == "other" and measures(unit, "Hz"):
         why = "its unit is a frequency: piga reads a running count, an angle or a rate such as rev/s, not pulses per second"
         return replace(guess, reason=why)
@@ -378,15 +372,9 @@ def _by_unit(guess: ColumnGuess) -> ColumnGuess:
     others: tuple[Kind, ...] = ("angle", "rate", "temperature") if guess.kind != "temperature" else ("time",)
     for kind in others:
         if measures(guess.unit, UNITS[kind][0]):
-            return replace(
-                guess, kind=kind, axis=None, reason=f"its unit {guess.unit}", alternatives=(WORDS[guess.kind],)
-            )
-    return replace(
-        guess,
-        kind="other",
-        axis=None,
-        reason=f"its name says {WORDS[guess.kind]}, its unit {guess.unit} does not",
-    )
+            return guess.but(kind, f"its unit {guess.unit}", WORDS[guess.kind], axis=None)
+    why = f"its name says {WORDS[guess.kind]}, its unit {guess.unit} does not"
+    return guess.but("other", why, axis=None)
 
 
 def _one_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
@@ -403,7 +391,7 @@ def _turning(guess: ColumnGuess, numbers: dict[str, Array], counted: bool) -> Co
         return guess
     kind: Kind = "stand-angle" if guess.kind == "angle" else "stand-speed"
     why = "it holds its value over many rows" if held else "the output is the column of counts"
-    return replace(guess, kind=kind, reason=f"its name, and {why}", alternatives=(WORDS[guess.kind],))
+    return guess.but(kind, f"its name, and {why}", WORDS[guess.kind])
 
 
 def _by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
@@ -422,28 +410,24 @@ def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
     values = Values.of(x)
     busy = values.holds > values.count // 2
     if guess.kind == "segment" and values.rising and values.even and busy:
-        why = "its name, and it rises in every row"
-        return replace(guess, kind="sequence", reason=why, alternatives=("segment",))
+        return guess.but("sequence", "its name, and it rises in every row", "segment")
     if guess.kind == "sequence" and values.stepped:
-        why = "its name, and it holds its value over many rows"
-        return replace(guess, kind="segment", reason=why, alternatives=("sample number",))
+        return guess.but("segment", "its name, and it holds its value over many rows", "sample number")
     if guess.kind == "other" and guess.reason == "its name" and guess.unit:
         stands: dict[str, Kind] = {"rad/s": "stand-speed", "rad": "stand-angle"}
         kind = next((kind for like, kind in stands.items() if measures(guess.unit, like)), guess.kind)
         if kind not in (*kinds, "other") and positions(x):
-            return replace(guess, kind=kind, reason=f"its unit {guess.unit}, and it stands still at times")
+            return guess.but(kind, f"its unit {guess.unit}, and it stands still at times")
         if kind == "stand-angle" and busy and not kinds & {"counts", "pulses", "angle", "rate"}:
-            return replace(guess, kind="angle", reason=f"its unit {guess.unit}, and it turns in most rows")
+            return guess.but("angle", f"its unit {guess.unit}, and it turns in most rows")
     if guess.kind == "other" and not guess.unit:
+        nothing = "its name says nothing, but"
         if "time" not in kinds and values.rising and values.even:
-            why = "its name says nothing, but it rises by even steps"
-            return replace(guess, kind="time", reason=why, alternatives=("not used",))
+            return guess.but("time", f"{nothing} it rises by even steps", "not used")
         if not kinds & {"counts", "pulses", "angle", "rate"} and values.whole and not values.stepped and busy:
-            why = "its name says nothing, but it holds whole numbers that change in most rows"
-            return replace(guess, kind="counts", reason=why, alternatives=("not used",))
+            return guess.but("counts", f"{nothing} it holds whole numbers that change in most rows", "not used")
         if "segment" not in kinds and values.whole and values.stepped and _UNNAMED.fullmatch(guess.name):
-            why = "its name says nothing, but it holds whole numbers, each over many rows"
-            return replace(guess, kind="segment", reason=why, alternatives=("not used",))
+            return guess.but("segment", f"{nothing} it holds whole numbers, each over many rows", "not used")
     return guess
 
 
@@ -457,7 +441,7 @@ def _direct_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> lis
     if len(others) != 1:
         return guesses
     why = f"the only column in another unit ({others[0].unit}) beside the stand"
-    output = replace(others[0], kind="direct", axis=None, reason=why)
+    output = others[0].but("direct", why, *others[0].alternatives, axis=None)
     return [output if one is others[0] else one for one in guesses]
 
 

@@ -20,29 +20,21 @@ MOST_NAME_LETTERS = 200
 
 
 def open_regular(
-    path: Path, most: int | None = None, wanted: str = "the file itself", error: type[PigaError] = DataError
+    path: Path, wanted: str = "the file itself", error: type[PigaError] = DataError
 ) -> BufferedReader:
     """Open a file for reading. Every file from outside is opened here.
 
-    A device, a pipe or a folder is refused before anything is read from it: reading it might never end.
-
-    Parameters
-    ----------
-    path, most:
-        The file, and its largest size [bytes]; None: any size, for a file that is read in pieces.
-    wanted, error:
-        For the message: the file that the user should name instead. Class of the error that is raised.
+    A device, a pipe or a folder is refused before anything is read from it: reading it might never end. ``wanted`` and
+    ``error`` are for the message: the file that the user should name instead, and the class of the error.
 
     Raises
     ------
     error
-        If it is not a regular file, or is too large.
+        If it is not a regular file.
     OSError
         If it does not exist or must not be read.
     """
-    status = _regular(path, wanted, error)
-    if most is not None and status.st_size > most:
-        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
+    _regular(path, wanted, error)
     return path.open("rb")
 
 
@@ -68,12 +60,13 @@ def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
     """All bytes of a file of at most ``most`` bytes; arguments and errors as for :func:`open_regular`, but no OSError."""
     try:
-        with open_regular(path, most, wanted, error) as stream:
-            data = stream.read(most + 1)
+        with open_regular(path, wanted, error) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            data = stream.read(most + 1) if size <= most else b""
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})", remedy="check the file name") from None
-    if len(data) > most:
-        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}")
+    if max(size, len(data)) > most:
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
     return data
 
 
