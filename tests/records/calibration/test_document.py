@@ -81,6 +81,11 @@ def _correlated(document: dict) -> None:
     matrix[0][1] = matrix[1][0] = 1.2 * (matrix[0][0] * matrix[1][1]) ** 0.5
 
 
+COMPARED = {
+    "treatment": "", "noise_terms": [], "angle_rms": 0.0, "angle_random_walk": 0.0, "observations": 1, "parts": 1, "folds": 1,
+    "parted_by": "block", "best": None, "best_prediction": None, "sets": [{"terms": ["k0"], "reason": "", "bic": 1.0}],
+}  # fmt: skip
+"""A comparison of one set, which has no numbers but one."""
 IMPOSSIBLE = [
     (lambda d: d.update(schema="piga.calibration/2"), "not known to this version"),
     (lambda d: d.update(schema="other"), "not a calibration record"),
@@ -132,6 +137,15 @@ IMPOSSIBLE = [
     (lambda d: d["segments"][0].update(mean_a_x=1e200), "segments.*mean_a_x"),
     (lambda d: d["diagnostics"].update(model_comparison={"best": None}), "diagnostics.model_comparison"),
     (lambda d: d.pop("surplus_observations"), "surplus_observations"),
+    (
+        lambda d: d["diagnostics"].update(model_comparison=COMPARED | {"sets": [{"reason": ""}]}),
+        "field `terms`",
+    ),
+    (lambda d: d["diagnostics"].update(model_comparison=COMPARED), "a set lacks aic, "),
+    (
+        lambda d: d["uncertainty_budget"][0]["contributions"].update(k9=1.0),
+        "acts on 'k9', which is not a coefficient",
+    ),
 ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, Required, TypedDict
+from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
 
 import numpy as np
 from msgspec import Meta
@@ -273,11 +273,16 @@ class ComparedCoefficient(TypedDict):
     change: Number | None
 
 
-class ComparedSet(TypedDict, total=False):
-    """One set of terms of a comparison. Numbers are missing where the record does not determine the set."""
+class ComparedTerms(TypedDict):
+    """A set of terms of a comparison, and the reason if the record does not determine it."""
 
-    terms: Required[list[str]]
-    reason: Required[str]
+    terms: list[str]
+    reason: str
+
+
+class ComparedSet(ComparedTerms, total=False):
+    """The set with its numbers, if the record determines it."""
+
     parameters: Count
     chi_square: Number
     chi_square_per_degree: Number
@@ -293,7 +298,13 @@ class ComparedSet(TypedDict, total=False):
     prediction_force_error: Number
 
 
-class Comparison(TypedDict):
+class ComparisonNotes(TypedDict, total=False):
+    """Notes on a comparison, which older files lack."""
+
+    notes: list[str]
+
+
+class Comparison(ComparisonNotes):
     """The document of :class:`piga.calibration.ModelComparison`."""
 
     treatment: str
@@ -306,7 +317,6 @@ class Comparison(TypedDict):
     parted_by: Literal["segment", "block"]
     best: list[str] | None
     best_prediction: list[str] | None
-    notes: NotRequired[list[str]]
     sets: list[ComparedSet]
 
 

@@ -30,6 +30,7 @@ from piga.records.calibration import (
     Quality,
 )
 from piga.records.calibration.coefficient import Level
+from piga.records.calibration.diagnostics import ComparedSet
 from piga.records.calibration.verdict import COUNTED
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit
@@ -293,15 +294,31 @@ def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
             yield f"'{k.key}': there is no run '{k.run}'"
         if c.phases == "shared" and k.segment is not None:
             yield f"the phase is 'shared', but '{k.key}' is of one segment"
+    yield from _faults_of_findings(c)
     if max(c.quality.used, c.quality.masked) > c.quality.rows:
         yield "more rows are used or masked than the record has"
-    if c.diagnostics.verdict == COUNTED and c.diagnostics.counting_probability is None:
-        yield "diagnostics.counting_probability is missing"
     try:
         dt.datetime.fromisoformat(c.provenance.created)
     except ValueError:
         yield f"provenance.created: '{c.provenance.created[:40]}' is not a time"
     yield from _faults_of_covariance(covariance, c)
+
+
+def _faults_of_findings(c: Calibration) -> Iterator[str]:
+    """Faults of budget and diagnostics. The numbers of a set of terms, and those of its prediction, are all there or none."""
+    for row in c.budget:
+        for key in {**row.contributions, **row.sensitivities}:
+            if not check_name(key.partition("[")[0]):
+                yield f"uncertainty_budget: '{row.source[:60]}' acts on '{key[:60]}', which is not a coefficient"
+    if c.diagnostics.verdict == COUNTED and c.diagnostics.counting_probability is None:
+        yield "diagnostics.counting_probability is missing"
+    predicted = {key for key in ComparedSet.__optional_keys__ if key.startswith("prediction_")}
+    comparison = c.diagnostics.model_comparison
+    for one in comparison["sets"] if comparison else ():
+        for group in (predicted, ComparedSet.__optional_keys__ - predicted):
+            missing = group - one.keys()
+            if missing and missing != group:
+                yield f"diagnostics.model_comparison: a set lacks {', '.join(sorted(missing))}"
 
 
 def _faults_of(c: Coefficient, output: str) -> Iterator[str]:
