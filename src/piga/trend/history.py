@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,7 +35,6 @@ from piga.trend.trend_line import (
     merge_by_day,
     moving_average,
     outlook,
-    trend_model,
 )
 from piga.upper import doors
 
@@ -304,13 +304,12 @@ def _check(entries: Sequence[HistoryEntry], common: Common) -> None:
         raise ArgumentError(
             f"the records are of different instruments: {', '.join(serials)}", remedy="give those of one"
         )
-    names: set[str] = set()
-    for name, time, _ in entries:
-        if name in names:
+    for name, count in Counter(name for name, *_ in entries).items():
+        if count > 1:
             raise ArgumentError(f"record '{name}' is given twice", remedy="give each record once")
+    for name, time, _ in entries:
         if time.tzinfo is None:
             raise ArgumentError(f"record '{name}': its time has no time zone", remedy="give it in UTC")
-        names.add(name)
     for source, part in common.items() if isinstance(common, Mapping) else [("common", common)]:
         if not 0.0 <= part <= 1.0:
             raise ArgumentError(
@@ -331,13 +330,13 @@ class _Records:
 
     def trend(self, key: str, coefficients: Sequence[Coefficient]) -> CoefficientTrend:
         """Trend of one coefficient, which each record gives."""
-        values, stds = np.array([(c.value, c.std) for c in coefficients]).T
+        values, stds, freedoms = np.array([(c.value, c.std, c.degrees_of_freedom) for c in coefficients]).T
         shared, doubt = self._shared(key)
         own = np.sqrt(np.maximum(stds**2 - np.sum(shared**2, axis=0), (1e-3 * stds) ** 2))
-        doubt = np.array([c.std**4 / c.degrees_of_freedom for c in coefficients]) - doubt
-        degrees = np.where(doubt > 0.0, own**4 / np.where(doubt > 0.0, doubt, 1.0), math.inf)
+        doubt = stds**4 / freedoms - doubt
+        degrees = np.divide(own**4, doubt, out=np.full_like(own, math.inf), where=doubt > 0.0)
         half = np.asarray(coverage_factor(degrees)) * own
-        model = trend_model(merge_by_day(self.years, values, own**2, self.days, shared))
+        model = TrendModel(merge_by_day(self.years, values, own**2, self.days, shared))
         forecasts, scores, day_scores = self._expected(values, own, shared)
         lists = (part.tolist() for part in (self.years, self.days, own, half, scores))
         points = tuple(
@@ -370,7 +369,7 @@ class _Records:
         for day in range(TREND.least_days, count):
             before, today = self.days < day, np.flatnonzero(self.days == day)
             earlier = self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
-            model = trend_model(merge_by_day(*earlier))
+            model = TrendModel(merge_by_day(*earlier))
             for i in today.tolist():
                 forecast = model.record_at(float(self.years[i]), float(own[i]), shared[:, i])
                 forecasts[i], scores[i] = forecast, forecast.score(float(values[i]))

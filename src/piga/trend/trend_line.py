@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
@@ -151,25 +152,10 @@ class Line(Result):
 
 
 def line_through(days: Days, step: int | None = None) -> Line:
-    """The line through three days or more; ``step``: with a step before this day.
-
-    Raises
-    ------
-    ArgumentError
-        With fewer than three days, or all of them at one time.
-    """
+    """The line through three days or more; ``step``: with a step before this day."""
     from scipy.special import chdtri
 
     t, y, v = days.time, days.means, days.variances
-    if t.size < TREND.least_days:
-        raise ArgumentError(
-            f"values of {t.size} days: too few for a line with uncertainty",
-            remedy=f"give values of {TREND.least_days} days or more",
-        )
-    if np.ptp(t) == 0.0:
-        raise ArgumentError(
-            "all values are of one time: no drift can be seen", remedy="give values of different times"
-        )
     origin = float(t.mean())
     columns = [np.ones(t.size), t - origin] + ([] if step is None else [np.arange(t.size) >= step])
     design, since = np.stack(columns, axis=1), y - y[0]
@@ -257,10 +243,14 @@ class Forecast:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrendModel(Result):
-    """Records merged by day, and the line through the days (None with fewer than three); times in years."""
+    """Records merged by day, and the line through the days; times in years."""
 
     days: Days
-    line: Line | None
+
+    @cached_property
+    def line(self) -> Line | None:
+        """The line through the days, None with fewer than three."""
+        return line_through(self.days) if self.days.time.size >= TREND.least_days else None
 
     @property
     def drift(self) -> Forecast | None:
@@ -308,19 +298,14 @@ def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -
     return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
 
 
-def trend_model(days: Days) -> TrendModel:
-    """Days, and the line through them."""
-    return TrendModel(days, line_through(days) if days.time.size >= TREND.least_days else None)
-
-
-def moving_average(scores: Array, weight: float = TREND.smoothing) -> tuple[Array, Array]:
+def moving_average(scores: Array) -> tuple[Array, Array]:
     """Exponentially weighted moving average of the scores, and its control limit.
 
     For independent standard normal scores the variance after ``n`` of them is
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
     averages, limits = np.full((2, scores.size), np.nan)
-    seen, most = np.flatnonzero(~np.isnan(scores)), TREND.control_limit
+    seen, most, weight = np.flatnonzero(~np.isnan(scores)), TREND.control_limit, TREND.smoothing
     steps = weight * np.clip(scores[seen], -most, most)
     averages[seen] = list(
         accumulate(steps, lambda average, step: (1.0 - weight) * average + step, initial=0.0)
@@ -432,7 +417,7 @@ def _design(time: Array) -> Array:
 
 
 def _log_likelihood(factor: Array, design: Array, values: Array) -> float:
-    """Restricted log-likelihood of the days about a line, but for a constant."""
+    """Restricted log-likelihood of the days about a line."""
     whitened = np.linalg.solve(factor, np.column_stack([design, values - values.mean()]))
     r: Array = np.linalg.qr(whitened, mode="r")  # type: ignore[assignment]
     log_size = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.abs(np.diag(r)[:2])))
