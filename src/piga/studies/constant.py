@@ -32,7 +32,7 @@ from piga.instrument import (
     propagate,
     revolution_period,
 )
-from piga.reports.render.figure import XYZ, Figure, Plot, axis
+from piga.reports.render.figure import XYZ, Figure, Plot
 from piga.results import Array, Result
 from piga.studies.case import INSTRUMENT, RATIO, Chapter, Value, chapter_of, example_force
 from piga.units import G0
@@ -41,7 +41,6 @@ DURATION = 100.0
 _STEP = 0.05
 _LATE = 1e4
 _DOTS = 40
-_FLOOR = 1e-16
 
 
 FormNumber = Literal[1, 2, 3, 4]
@@ -209,7 +208,7 @@ def examples() -> Chapter:
             values[f"{name}.mean"] = math.degrees(float(mean_rate(INSTRUMENT, *example.force)))
         else:
             values[f"{name}.end"] = math.degrees(float(closed_form(INSTRUMENT, _LATE, *example.force)[1]))
-    return chapter_of("constant-input", values, (_rate_figure(), _agreement_figure()))
+    return chapter_of("constant-input", values, (_rate_figure(),))
 
 
 def _rate_figure() -> Figure:
@@ -228,23 +227,6 @@ def _rate_figure() -> Figure:
     return plot.caption(
         "Dashed: what an ideal instrument would turn. In regimes 1 to 3 the rate dies although in 2 and 3 there is "
         "specific force along the input axis; in regime 4 it swings about a mean just below the ideal line."
-    )
-
-
-def _agreement_figure() -> Figure:
-    plot = Plot("constant-input-agreement", "Three solutions of the same motion", columns=2, height=2.1)
-    for example in EXAMPLES:
-        solution = solved(example)
-        every = slice(1, None, 8)
-        left = np.abs(solution.closed[0] - solution.integrated[0])[every]
-        right = np.abs(solution.closed[0] - solution.sampled[0])[every]
-        y = axis("log difference in angle [rad]", limits=(_FLOOR, 1e-9))
-        plot.panel("time [s]", y, f"{example.number}  {example.regime}")
-        plot.line(solution.t[every], np.maximum(left, _FLOOR), "closed form less integration", "before")
-        plot.line(solution.t[every], np.maximum(right, _FLOOR), "closed form less propagator", "after")
-    return plot.caption(
-        "The independent integrator errs by up to 1e-10 rad, closed form and propagator differ from each other by "
-        "rounding only. Differences below 1e-16 rad are drawn there."
     )
 
 

@@ -17,7 +17,7 @@ from piga.platform.geometry import nulled_attitude
 from piga.platform.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
 from piga.platform.simulate import simulate
 from piga.reports.platform.figures import lines_figure, published_figure
-from piga.reports.render.figure import Figure, Plot, Role, Series
+from piga.reports.render.figure import Figure, Series
 from piga.results import Array
 from piga.studies.case import Chapter, Value, chapter_of
 from piga.units import ARCMIN, DAY
@@ -47,29 +47,7 @@ def table() -> Chapter:
         "velocity": GRAVITY_OF_TABLE * ARCMIN / CASE_RATE,
         "velocity-as-printed": 10.0 * ARCMIN / CASE_RATE,
     }
-    return chapter_of("redundancy-angle", values, (_table_figure(),))
-
-
-def _table_figure() -> Figure:
-    eta, dots = np.linspace(0.0, 6.0, 61), np.arange(1.0, 6.0)
-    exact = np.array([pole_amplitude(_MISALIGNMENT, math.radians(e)) for e in dots]) / ARCMIN
-    formula = 10.0 * np.tan(np.radians(eta))
-    speed = math.cos(math.radians(40.0))
-    plot = Plot(
-        "redundancy-table",
-        "What a misalignment of 10 arcmin does, by redundancy angle",
-        columns=2,
-        height=2.8,
-    )
-    plot.panel("redundancy angle eta [deg]", "turn about the polar axis [arcmin]")
-    plot.dashed(eta, formula, "published relation").points(dots, exact, "exact geometry", "after")
-    plot.panel("redundancy angle eta [deg]", "east velocity [m/s]")
-    plot.dashed(eta, 0.222 * speed * formula, "published relation")
-    plot.line(eta, GRAVITY_OF_TABLE * ARCMIN / CASE_RATE * speed * formula, "with g = 9.8 m/s^2", "after")
-    return plot.caption(
-        "Left: the publication's relation and the exact geometry agree. Right: at a latitude of 40 deg; "
-        "its velocities lie 2 % high, as g was taken as 10."
-    )
+    return chapter_of("redundancy-angle", values, ())
 
 
 def coupling() -> Chapter:
@@ -89,7 +67,7 @@ def coupling() -> Chapter:
     values["simulated"] = Value(
         _simulated_rate(eta, drift) / _HOUR_RATE, published=relation["eta_rate"] / _HOUR_RATE
     )
-    return chapter_of("drift-coupling", values, (_coupling_figure(drift),))
+    return chapter_of("drift-coupling", values, ())
 
 
 def published_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: float) -> dict[str, float]:
@@ -146,27 +124,6 @@ def _simulated_rate(eta: float, drift: dict[str, float]) -> float:
     )
     eta_readout = simulate(scenario).truth.eta
     return float(eta_readout[-1] - eta_readout[0]) / scenario.duration
-
-
-def _coupling_figure(drift: dict[str, float]) -> Figure:
-    eta, dots = np.linspace(-30.0, 30.0, 121), np.linspace(-30.0, 30.0, 13)
-    plot = Plot(
-        "drift-coupling-rates",
-        "Drift of the triad by redundancy angle",
-        "redundancy angle eta [deg]",
-        "drift [deg/h]",
-        height=3.0,
-    )
-    curves: tuple[tuple[str, str, Role], ...] = (
-        ("w_Gz", "w_Gz", "x"),
-        ("w_G2x", "w_G2x", "z"),
-        ("eta_rate", "eta'", "y"),
-    )
-    for name, label, role in curves:
-        line = [published_coupling(math.radians(e), **drift)[name] / _HOUR_RATE for e in eta]
-        points = [momentum_coupling(math.radians(e), **drift)[name] / _HOUR_RATE for e in dots]
-        plot.line(eta, line, f"{label}, relation", role).points(dots, points, f"{label}, momenta", role)
-    return plot.caption("Lines: published relations. Points: the triad built on two drifting momenta.")
 
 
 LATITUDE: Final = math.radians(40.0)

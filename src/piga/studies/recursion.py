@@ -171,7 +171,7 @@ def errata() -> Chapter:
     return chapter_of(
         "errata",
         values,
-        (_sign_figure(), _square_figure(), _phase_figure()),
+        (_sign_figure(), _phase_figure()),
         least_sign=min(signs),
         most_sign=max(signs),
         square=computed["square"],
@@ -261,17 +261,6 @@ def _sign_figure() -> Figure:
         plot.dashed(_T[shown], np.degrees(wrong[shown]), "as printed, |r|", "before")
     return plot.caption(
         "With |r| instead of the signed r, the printed forms start at a wrong rate and end at a wrong phase for a_x < 0."
-    )
-
-
-def _square_figure() -> Figure:
-    with_square, without, exact = _critical_rates()
-    plot = Plot("errata-square", "The lost square in form 2", "time [s]", "output rate [deg/s]", height=2.6)
-    plot.line(_T, np.degrees(exact), "exact motion", "after")
-    plot.points(_T[::30], np.degrees(with_square[::30]), "form 2 with the square", "model")
-    plot.dashed(_T, np.degrees(without), "form 2 without the square", "before")
-    return plot.caption(
-        "Critical input. Without the square the rate starts at twice its value and falls too slowly."
     )
 
 
