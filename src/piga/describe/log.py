@@ -231,7 +231,7 @@ def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
 def _numbers_of(
     path: Path, sheet: str | None, names: list[str], missing: tuple[str, ...] = ()
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values and units of the columns that hold numbers: all at once, or one by one where one of them does not.
+    """Values and units of the columns that hold numbers. Those that a refusal names are read again, one by one.
 
     One word in some cells of a sheet marks a missing value.
     """
@@ -241,19 +241,20 @@ def _numbers_of(
         stream = columns_stream(path, tuple(names), sheet=sheet, missing=missing)
         return _collected(stream, tuple(names))[0], dict(stream.units)
     except PigaError as error:
-        if len(names) == 1:
-            word = next((fix.value for fix in error.fixes if fix.key == "missing"), None)
-            if word is None or missing:
-                return {}, {}
-            numbers, units = _numbers_of(path, sheet, names, tuple(word))
-            empty = [np.mean(np.isnan(column)) for column in numbers.values()]
-            return (numbers, units) if empty and empty[0] <= _MOST_WORDS else ({}, {})
-    numbers, units = {}, {}
-    for name in names:
-        one, unit = _numbers_of(path, sheet, [name])
-        numbers |= one
-        units |= unit
-    return numbers, units
+        refused = names if error.where is None else [name for name in names if name in error.where.columns]
+        word = next((fix.value for fix in error.fixes if fix.key == "missing"), None)
+    if len(names) > 1:
+        single = [[name] for name in refused or names]
+        parts = [_numbers_of(path, sheet, [name for name in names if [name] not in single])]
+        parts += [_numbers_of(path, sheet, one) for one in single]
+        numbers = {name: column for read, _ in parts for name, column in read.items()}
+        units = {name: unit for _, read in parts for name, unit in read.items()}
+        return {name: numbers[name] for name in names if name in numbers}, units
+    if word is None or missing:
+        return {}, {}
+    numbers, units = _numbers_of(path, sheet, names, tuple(word))
+    empty = [np.mean(np.isnan(column)) for column in numbers.values()]
+    return (numbers, units) if empty and empty[0] <= _MOST_WORDS else ({}, {})
 
 
 def _sheets(path: Path) -> list[str | None]:

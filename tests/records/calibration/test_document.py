@@ -122,6 +122,10 @@ IMPOSSIBLE = [
     (lambda d: d.update(surplus_observations=-3.0), "surplus_observations"),
     (lambda d: d["coefficients"][0].update(value=1e308), "coefficients"),
     (lambda d: d["coefficients"][0].update(interval=[2.0, 1.0]), "ends of the interval of 'scale_factor'"),
+    (
+        lambda d: d["coefficients"][0].update(degrees_of_freedom=0.0),
+        "degrees_of_freedom of 'scale_factor'.*too few",
+    ),
     (lambda d: d["coefficients"][0].update(run="b"), "belongs to the instrument, not to a run"),
     (lambda d: _coefficient(d, "k0").update(run="b"), "'k0.b.': there is no run 'b'"),
     (lambda d: d["coefficients"][0].update(segment="3"), "'scale_factor.3.'.*only a phase"),

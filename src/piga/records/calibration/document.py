@@ -335,6 +335,8 @@ def _faults_of(c: Coefficient, output: str) -> Iterator[str]:
         yield f"tan_beta is {c.value:g}, it must not be negative: its sign is in phi"
     if c.interval is not None and not c.interval[0] <= c.interval[1]:
         yield f"the ends of the interval of '{c.key}' are interchanged"
+    if not math.isfinite(c.expanded):
+        yield f"degrees_of_freedom of '{c.key}' are {c.degrees_of_freedom:g}: too few for an interval"
     if c.segment is not None and c.name != "phi":
         yield f"'{c.key}': only a phase can belong to a segment"
     if c.run is not None and c.name in ("scale_factor", "tan_beta"):
