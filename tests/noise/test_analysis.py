@@ -9,6 +9,7 @@ import piga
 from piga.errors import ArgumentError, DataError
 from piga.noise import read_static_log
 from piga.noise.analysis import level_unit
+from piga.reports.noise import noise_document
 
 STEP = 0.2
 
@@ -78,6 +79,18 @@ def test_a_run_file_gives_rate_and_acceleration(tmp_path):
     assert text.count("Levels") == 1
     assert "as acceleration" in text
     assert f"{noise.levels[1].value / np.pi * 648000:.2f}"[:4] in text
+
+
+def test_quantisation_alone_has_no_random_walk():
+    """Levels that are not seen have no value in JSON, and a bound in brief."""
+    t = STEP * np.arange(6000)
+    angle = t + 2.0 * np.random.default_rng(23).standard_normal(6000)
+    noise = piga.analyse_noise(angle, t, kind="angle")
+    levels = noise_document(noise)["levels"]
+    assert levels["quantisation"]["value"] == pytest.approx(2.0, rel=0.05)
+    assert [one["value"] for name, one in levels.items() if name != "quantisation"] == [None] * 4
+    assert levels["random_walk"]["interval_95"] == [0.0, noise.levels[1].upper]
+    assert dict(noise.in_brief())["random_walk"] == f"at most {noise.levels[1].upper:.4g} 1/sqrt(Hz)"
 
 
 def test_a_column_without_a_unit_keeps_its_numbers(tmp_path, record):

@@ -65,14 +65,14 @@ def test_intervals_hold_the_levels_put_in(name: str):
     for trial in range(40):
         y = rates(rng, 3000, **case)
         parts = [y] if trial % 2 else [y[:1000], y[1050:1400], y[1400:]]
-        levels, _ = noise_levels(parts, STEP, of_angles=True)
+        levels, _ = noise_levels(parts, STEP)
         held += [one.lower <= true <= one.upper for one, true in zip(levels, truth, strict=True)]
     assert held.min() >= 33
 
 
 def test_what_is_not_there_is_not_seen():
     """White noise alone: only the random walk is told from none, and in its unit."""
-    levels, spectrum = noise_levels([rates(np.random.default_rng(12), 20_000, n=3.0)], STEP, of_angles=False)
+    levels, spectrum = noise_levels([rates(np.random.default_rng(12), 20_000, n=3.0)], STEP)
     assert [one.seen for one in levels] == [False, True, False, False, False]
     assert levels[1].value == pytest.approx(3.0, rel=0.02)
     assert levels[1].upper - levels[1].lower < 0.15
@@ -86,20 +86,37 @@ def test_counts_without_noise_are_refused(rate: float):
     """Whole counts in each step: a traceback before."""
     counts = np.floor(rate * np.arange(3000) + 0.3)
     with pytest.raises(PigaError, match=r"a\.csv: the samples repeat exactly"):
-        noise_levels([np.diff(counts) / STEP], STEP, of_angles=True, source="a.csv")
+        noise_levels([np.diff(counts) / STEP], STEP, source="a.csv")
+
+
+def test_the_random_walk_under_counts_is_within_its_bound():
+    """Lines of the counts hide a faint walk: before, a number far below it stood as N, and its interval held in 5 %."""
+    rng, held = np.random.default_rng(5), 0
+    for rate in rng.uniform(0.05, 40.0, 40):
+        angle = np.cumsum(rate + STEP * rates(rng, 3000, n=0.05))
+        walk = noise_levels([np.diff(np.floor(angle)) / STEP], STEP)[0][1]
+        held += walk.lower <= 0.05 <= walk.upper
+    assert held >= 33
+
+
+def test_ends_of_a_rate_do_not_matter():
+    """They are free, of rates too: their quantisation passed for a random walk before."""
+    y = rates(np.random.default_rng(17), 2000, n=1.0)
+    y[[0, -1]] += (500.0, -300.0)
+    assert noise_levels([y], STEP)[0][1].value == pytest.approx(1.0, rel=0.06)
 
 
 @pytest.mark.parametrize("rate", [0.5, 1 / 3, 0.37123, 0.0037123])
 def test_counts_of_a_steady_rate_are_no_noise(rate: float):
     """Their lines are not the spectrum of any level: said. A simple fraction of a count ended in a traceback before."""
     counts = np.floor(rate * np.arange(3000) + 0.3)
-    assert noise_levels([np.diff(counts) / STEP], STEP, of_angles=True)[1].misfit is not None
+    assert noise_levels([np.diff(counts) / STEP], STEP)[1].misfit is not None
 
 
 def test_a_wave_is_named_by_its_frequency():
     t = STEP * np.arange(8000)
     y = rates(np.random.default_rng(14), 8000, n=1.0) + 0.5 * np.sin(2.0 * np.pi * 0.05 * t)
-    _, spectrum = noise_levels([y], STEP, of_angles=False)
+    _, spectrum = noise_levels([y], STEP)
     assert spectrum.misfit is not None
     low, high, ratio = spectrum.misfit
     assert low < 0.05 < high
@@ -114,7 +131,7 @@ def test_allan_variances_of_the_levels():
         for _ in range(300):
             means = rates(rng, 8 * m, **{key: 1.0}).reshape(8, m).mean(axis=1)
             squares.append(0.5 * np.mean(np.diff(means) ** 2))
-        levels, _ = noise_levels([rates(rng, 4000, **{key: 1.0})], STEP, of_angles=True)
+        levels, _ = noise_levels([rates(rng, 4000, **{key: 1.0})], STEP)
         one = next(level for level in levels if level.name == name)
         variance = level_variances(np.array([m * STEP]), [one])[name] / one.value**2
         assert float(variance[0]) == pytest.approx(np.mean(squares), rel=0.2)
@@ -123,6 +140,6 @@ def test_allan_variances_of_the_levels():
 def test_counts_given_as_a_rate_have_levels(recwarn: pytest.WarningsRecorder) -> None:
     """A mistake of the user, and no crash: the likelihood weighs spectral values that differ by more than a double holds."""
     log = run_scenario(read_scenario(EXAMPLES / "dividing-head.toml")).log
-    found, _ = noise_levels([log.output], 0.05, of_angles=False)
+    found, _ = noise_levels([log.output], 0.05)
     assert all(np.isfinite((one.lower, one.upper)).all() for one in found)
     assert not recwarn.list

@@ -69,7 +69,11 @@ class NoiseAnalysis(Result, Plotted, Reported):
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The levels."""
-        return [(one.name, f"{one.value:.4g} {level_unit(one.name, self.unit)}") for one in self.levels]
+        rows = []
+        for one in self.levels:
+            size = f"{one.value:.4g}" if one.seen else f"at most {max(one.upper, -one.lower):.4g}"
+            rows.append((one.name, f"{size} {level_unit(one.name, self.unit)}"))
+        return rows
 
 
 def level_unit(name: str, unit: str) -> str:
@@ -145,7 +149,7 @@ def analyse_noise(
     else:
         rates = [np.diff(values[part] - values[part.start]) / step for part in parts]
         angle, times = values, t
-    levels, spectrum = noise_levels(rates, step, of_angles=kind == "angle", source=source)
+    levels, spectrum = noise_levels(rates, step, source=source)
     noise = {
         ALLAN[one.name][0]: one.value**2 * ALLAN[one.name][1]
         for one in levels

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.results import Array, Result
@@ -24,6 +25,8 @@ FEWEST = 16
 """Rates of the shortest stretch whose spectrum is taken."""
 _FALL = 0.5 * 3.841458820694124
 """Fall of the log-likelihood at the ends of an interval of 95 %: half the quantile of chi-square with one degree of freedom."""
+_OUTSIDE = 0.05
+"""Probability that a level is above the largest one that the spectrum allows."""
 APART = 40
 """Frequencies that are kept apart; higher ones are put together where they differ by less than one in so many."""
 _BANDS = 3.0
@@ -76,7 +79,7 @@ class NoiseSpectrum(Result):
 
 
 def noise_levels(
-    stretches: Sequence[Array], step: float, *, of_angles: bool, source: str = "the output"
+    stretches: Sequence[Array], step: float, *, source: str = "the output"
 ) -> tuple[tuple[NoiseLevel, ...], NoiseSpectrum]:
     r"""Levels of the noise of a rate, and the spectrum they are from.
 
@@ -86,8 +89,10 @@ def noise_levels(
 
     with sines in place of the squares of f at high frequencies; a drift R is a line. The cosine transforms of the
     stretches have these variances. Levels are those of the largest likelihood, none below zero, with that of the drift
-    taken out (restricted likelihood). An interval ends where the likelihood, maximised over all other levels, falls to
-    that of 95 %.
+    taken out (restricted likelihood). The first and last value of a stretch are free: of the differences of angles they
+    have a quantisation that the cosine transform does not tell from white noise. An interval ends where the likelihood,
+    maximised over all other levels, falls to that of 95 %. Where the levels do not describe the record, it ends no lower
+    than the largest level that the spectrum allows; a level above that is not seen, unless it is quantisation.
 
     Parameters
     ----------
@@ -95,9 +100,6 @@ def noise_levels(
         Mean rates over the steps, of each stretch.
     step:
         Time between them [s].
-    of_angles:
-        Whether the rates are differences of angles. Their first and last values then have a quantisation that no
-        other value has, and are free.
     source:
         Where they are from, for an error.
 
@@ -106,7 +108,7 @@ def noise_levels(
     ArgumentError
         If the values repeat exactly, so that most of the spectrum is rounding.
     """
-    parts = [_Part.of(y, step, of_angles) for y in stretches if y.size > FEWEST]
+    parts = [_Part.of(y, step) for y in stretches if y.size > FEWEST]
     rounding = _ROUNDING * max(math.sqrt(y.size) * float(np.abs(y).max()) for y in stretches)
     edges = _edges(np.concatenate([part.share for part in parts]))
     places = [np.searchsorted(edges, part.share, side="right") - 1 for part in parts]
@@ -138,18 +140,20 @@ def noise_levels(
         before, model = model, columns @ squares
         if np.abs(model - before).max() <= _SMALL * model.max():
             break
+    frequency = share / (2.0 * step)
+    misfit = _misfit(frequency, square / model, count)
+    most = _most(frequency, columns, square, count)
     levels = []
     for k, name in enumerate(SOURCES):
         lower, upper = fit.interval(k, squares)
+        if misfit is not None:
+            lines = name == "quantisation"  # of counts of a steady output: some bands are empty
+            lower, upper = lower if lines or lower < most[k] else 0.0, max(upper, most[k])
         levels.append(NoiseLevel(name, *map(math.sqrt, (squares[k], lower, upper))))
     unit = 1.0 / math.sqrt(information)
     off = [_fall(partial(fit.moved, cross * sign, bends), unit) for sign in (-1.0, 1.0)]
     levels.append(NoiseLevel("drift", drift, drift - off[0], drift + off[1]))
-    frequency = share / (2.0 * step)
-    spectrum = NoiseSpectrum(
-        frequency, square * step, model * step, count, _misfit(frequency, square / model, count)
-    )
-    return tuple(levels), spectrum
+    return tuple(levels), NoiseSpectrum(frequency, square * step, model * step, count, misfit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,10 +163,10 @@ class _Part:
     share: Array
     value: Array
     line: Array
-    ends: Array | None
+    ends: Array
 
     @staticmethod
-    def of(y: Array, step: float, of_angles: bool) -> _Part:
+    def of(y: Array, step: float) -> _Part:
         """That of mean rates."""
         from scipy.fft import dct
 
@@ -170,12 +174,10 @@ class _Part:
         line = dct(step * np.arange(y.size), norm="ortho")[1:]
         first = np.sqrt(2.0 / y.size) * np.cos(0.5 * np.pi * share)
         last = first * np.where(np.arange(1, y.size) % 2, -1.0, 1.0)
-        return _Part(share, dct(y, norm="ortho")[1:], line, np.stack((first, last)) if of_angles else None)
+        return _Part(share, dct(y, norm="ortho")[1:], line, np.stack((first, last)))
 
     def freed(self, spectrum: Array) -> tuple[Array, Array, Array]:
         """Value and line without what the end values explain, and the variance that this takes from each value."""
-        if self.ends is None:
-            return self.value, self.line, np.zeros_like(self.value)
         weighed = self.ends / spectrum
         inverse = np.linalg.inv(weighed @ self.ends.T)
         value, line = (one - (inverse @ (weighed @ one)) @ self.ends for one in (self.value, self.line))
@@ -283,6 +285,22 @@ class _Fit:
         return off.likelihood(off.best()) - self.likelihood(self.best()) + _FALL
 
 
+def _bands(frequency: Array, *values: Array) -> tuple[NDArray[np.int64], list[Array]]:
+    """Index of the first frequency of each band, and the sums over the bands."""
+    band = np.floor(_BANDS * np.log2(frequency)).astype(int)
+    start = np.flatnonzero(np.diff(band, prepend=band[0] - 1))
+    return start, [np.add.reduceat(each, start) for each in values]
+
+
+def _most(frequency: Array, columns: Array, square: Array, count: Array) -> Array:
+    """Largest squared levels (k,) that the spectrum allows: no band has a level above it, whatever else is there."""
+    from scipy.special import chdtri
+
+    start, (numbers, sums, *of_one) = _bands(frequency, count, count * square, *(count * columns.T))
+    least = chdtri(numbers, 1.0 - _OUTSIDE / start.size) / numbers
+    return np.array([float(np.min(sums / (one * least))) for one in of_one])
+
+
 def _misfit(frequency: Array, ratio: Array, count: Array) -> tuple[float, float, float] | None:
     """The band in which the spectrum differs most from the levels, if no chance explains it.
 
@@ -290,10 +308,7 @@ def _misfit(frequency: Array, ratio: Array, count: Array) -> tuple[float, float,
     """
     from scipy.special import chdtr, chdtrc
 
-    band = np.floor(_BANDS * np.log2(frequency)).astype(int)
-    start = np.flatnonzero(np.diff(band, prepend=band[0] - 1))
-    numbers = np.add.reduceat(count, start)
-    sums = np.add.reduceat(count * ratio, start)
+    start, (numbers, sums) = _bands(frequency, count, count * ratio)
     chance = 2.0 * np.minimum(chdtr(numbers, sums), chdtrc(numbers, sums))
     worst = int(np.argmin(chance))
     if chance[worst] * start.size > _DOUBT:

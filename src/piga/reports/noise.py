@@ -189,7 +189,7 @@ def noise_document(noise: NoiseAnalysis) -> dict[str, Any]:
         "duration_s": noise.duration,
         "levels": {
             level.name: {
-                "value": level.value,
+                "value": level.value if level.seen else None,
                 "interval_95": [level.lower, level.upper],
                 "unit": level_unit(level.name, noise.unit),
                 "seen": level.seen,
