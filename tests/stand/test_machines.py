@@ -56,7 +56,7 @@ def test_logged_profile_is_linear_between_samples(tmp_path):
     assert omega[:, 0] == pytest.approx([0.05, 0.05])
     with pytest.raises(DataError, match="no column 'fq'"):
         read_profile(path, ColumnTable("t", "s"), Columns(("fq", "fy", "fz"), "g"))
-    with pytest.raises(DataError, match="no such file"):
+    with pytest.raises(DataError, match="No such file"):
         read_profile(tmp_path / "none.csv", ColumnTable("t", "s"), FORCE)
     path.write_text("t,fx,fy,fz\n0,1,0,0\n1,,0,1\n")
     with pytest.raises(DataError, match="row 3, column 'fx' is empty"):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, Fix, PigaError, Where, install_command
 from piga.records.calibration import Event
-from piga.records.limits import check_regular, first_line
+from piga.records.limits import first_line, open_regular
 from piga.results import Column, arrow_table
 
 CHUNK_ROWS = 1 << 16
@@ -325,7 +325,7 @@ class Container(TableStream):
     ) -> None:
         RecordStream.__init__(self, path, numeric, label)
         self.sheet, self.missing, self.noted = sheet, missing, list[Event]()
-        check_regular(path, "[data] file is relative to the run file")
+        open_regular(path, "the file; [data] file is relative to the run file").close()
         try:
             self.read()
         except PigaError:

@@ -26,7 +26,6 @@ from piga.records.limits import (
     LARGEST_SAMPLE,
     MAX_SEGMENTS,
     MOST_NAME_LETTERS,
-    check_regular,
     open_regular,
     read_whole,
 )
@@ -317,7 +316,8 @@ def steady(path: Path, remedy: str) -> Iterator[None]:
 
 def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
     """State of a file that every change alters: size, times and identity."""
-    status = check_regular(path, remedy)
+    with open_regular(path, f"the file; {remedy}") as stream:
+        status = os.fstat(stream.fileno())
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 

@@ -30,41 +30,26 @@ def open_regular(
     Raises
     ------
     error
-        If it is not a regular file.
-    OSError
-        If it does not exist or must not be read.
+        If it is not a regular file, does not exist or must not be read.
     """
-    _regular(path, wanted, error)
-    return path.open("rb")
-
-
-def _regular(path: Path, wanted: str, error: type[PigaError]) -> os.stat_result:
+    remedy = f"check the file name: name {wanted}"
     try:
-        status = path.stat()
-    except ValueError:
-        raise error(f"{str(path)!r}: is not a file name", remedy=f"name {wanted}") from None
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-        raise error(f"{path}: is not a regular file, but {kind}", remedy=f"name {wanted}", where=Where(path))
-    return status
-
-
-def check_regular(path: Path, remedy: str, error: type[PigaError] = DataError) -> os.stat_result:
-    """State of a file. An error, one sentence, if it is not there, or is a folder, a pipe or a device."""
-    try:
-        return _regular(path, f"the file: {remedy}", error)
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            return path.open("rb")
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})", remedy=remedy, where=Where(path)) from None
+    except ValueError:
+        raise error(f"{str(path)!r}: is not a file name", remedy=remedy) from None
+    kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+    raise error(f"{path}: is not a regular file, but {kind}", remedy=remedy, where=Where(path))
 
 
 def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
-    """All bytes of a file of at most ``most`` bytes; arguments and errors as for :func:`open_regular`, but no OSError."""
-    try:
-        with open_regular(path, wanted, error) as stream:
-            size = os.fstat(stream.fileno()).st_size
-            data = stream.read(most + 1) if size <= most else b""
-    except OSError as reason:
-        raise error(f"{path}: cannot be read ({reason.strerror})", remedy="check the file name") from None
+    """All bytes of a file of at most ``most`` bytes; arguments and errors as for :func:`open_regular`."""
+    with open_regular(path, wanted, error) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(most + 1) if size <= most else b""
     if max(size, len(data)) > most:
         raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
     return data

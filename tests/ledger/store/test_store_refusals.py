@@ -288,7 +288,7 @@ def test_an_export_made_by_hand(sound: Path, change: dict[str, bytes | None], me
 
 def test_what_is_no_export(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 1) as store:
-        with pytest.raises(StoreError, match="no such file"):
+        with pytest.raises(StoreError, match="No such file"):
             import_records(store, tmp_path / "none.zip", "A", "merge")
         with pytest.raises(StoreError, match="not a ZIP file"):
             import_records(store, tmp_path / "a.sqlite", "A", "merge")

@@ -174,7 +174,7 @@ class TextSource:
         """The unpacked bytes of the file, ``size`` at a time. An error becomes one clear message."""
         packed, total = self.path.suffix.lower() == ".gz", 0
         try:
-            with open_regular(self.path, wanted="the data file in [data] file") as file:
+            with open_regular(self.path, wanted="the file; [data] file is relative to the run file") as file:
                 limit = os.fstat(file.fileno()).st_size * _MAX_EXPANSION
                 stream: Any = gzip.GzipFile(fileobj=file) if packed else file
                 while block := stream.read(size):
@@ -183,9 +183,6 @@ class TextSource:
                         words = f"unpacks to more than {_MAX_EXPANSION} times its size"
                         raise refusal(self.path, words, "unpack it by hand")
                     yield block
-        except FileNotFoundError:
-            remedy = "[data] file is relative to the run file"
-            raise refusal(self.path, "no such file", remedy) from None
         except (OSError, EOFError, zlib.error) as error:
             raise refusal(self.path, f"cannot be read ({error})", "check the file") from None
 

@@ -11,6 +11,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -120,11 +121,9 @@ def _member(name: str) -> zipfile.ZipInfo:
 
 def is_export(path: Path) -> bool:
     """True if the file begins like a ZIP file."""
-    try:
-        with open_regular(path, error=StoreError) as stream:
-            return stream.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False
+    with suppress(StoreError), open_regular(path, error=StoreError) as stream:
+        return stream.read(4) == b"PK\x03\x04"
+    return False
 
 
 class Export:
@@ -132,12 +131,7 @@ class Export:
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
-        try:
-            self._stream = open_regular(path, error=StoreError)
-        except FileNotFoundError:
-            raise StoreError(f"{path}: no such file", remedy="check the name") from None
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
+        self._stream = open_regular(path, "an export of records", StoreError)
         try:
             if self._stream.read(4) != b"PK\x03\x04":
                 raise StoreError(
