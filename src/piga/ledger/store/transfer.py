@@ -395,7 +395,7 @@ def restore(source: Path, target: str | Path) -> Verification:
     StoreError
         If the backup is damaged or not complete, or the target exists already.
     """
-    result = Verification(str(target))
+    result = Verification(str(source))
     with ExitStack() as stack:
         if is_export(source):
             origin: _Source = stack.enter_context(Export(source))
@@ -415,6 +415,7 @@ def restore(source: Path, target: str | Path) -> Verification:
             write_whole(
                 Path(target), lambda part: _restore_sqlite(origin, part, result), replace=False, kind=StoreError
             )
+    result.name = str(target)
     return result
 
 
@@ -435,7 +436,7 @@ def _copy_chain(store: Store, connection: sa.Connection, origin: _Source, result
         _copy_files(connection, origin, entry.document)
         store.insert(connection, entry.document, entry.link)
     check_chain(result, StoreSource(connection))
-    _refuse_unsound(result, "the copy")
+    _refuse_unsound(result, result.name)
 
 
 def _copy_files(connection: sa.Connection, origin: _Source, raw: bytes) -> RecordDocument:

@@ -92,48 +92,11 @@ def _sources(cal: Calibration, coefficients: list[Coefficient]) -> list[BudgetEn
     return sources
 
 
-SOURCES = {
-    "reference_scale": "scale of the reference",
-    "reference_bias": "bias of the reference",
-    "reference_misalignment": "direction of the reference",
-    "gravity": "local gravity",
-    "timing": "clock of the record",
-    "temperature": "thermometer",
-    "vibration": "rectification of vibration",
-    "earth_rate": "rotation of the Earth",
-    "height": "height of the site",
-    "servo": "servo that no term describes",
-    "reference_repeatability": "reference, set anew at each position",
-    "direction_repeatability": "direction of the reference, set anew at each position",
-    "mounting_repeatability": "mounting, set anew for each run",
-    "levelling": "levelling of the stand",
-    "angle_error": "angle of the head",
-    "angle_harmonics": "periodic error of the head's angle",
-    "settling": "settling of the stand",
-    "arm_radius": "radius of the arm",
-    "arm_stretch": "stretch of the arm",
-    "rate_error": "rate of the stand",
-    "rate_ripple": "ripple of the stand's rate",
-    "transverse_motion": "transverse motion of the table",
-    "rocking": "rocking of the table",
-    "angle_repeatability": "angle of the head, set anew at each position",
-    "rate_repeatability": "rate of the stand, set anew at each level",
-    "levelling_repeatability": "levelling, set anew for each run",
-}
-"""Entries of ``[uncertainty]`` in words."""
-
-
-def source_in_words(source: str) -> str:
-    """A source of the budget in words, with its key: ``scale of the reference (reference_scale)``."""
-    words = SOURCES.get(source.partition(" ")[0])
-    return f"{words} ({source})" if words else source
-
-
 def budget_tables(cal: Calibration) -> tuple[Table, ...]:
     """The budget for the page: the sources, then what each adds to the coefficients, as many as fit the page."""
     whole = budget_table(cal)
     sources = whole.only(range(DESCRIBED))
-    rows = tuple((source_in_words(str(row[0])), *row[1:]) for row in sources.rows if row[1])
+    rows = tuple(row for row in sources.rows if row[1])
     contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
     return (replace(sources, rows=rows, notes=()), *contributions.parts(1, ACROSS))
 
@@ -164,7 +127,7 @@ def source_tables(cal: Calibration) -> tuple[Table, ...]:
                     if abs(effects.get(c.key, 0.0)) > NEGLIGIBLE * c.std
                 }
                 size = f"1 {pretty_unit(source.unit)}" if effects else source.reason
-                rows.append((source_in_words(component), size, changes))
+                rows.append((component, size, changes))
     return _change_tables(cal, "Source that is not stated", rows)
 
 

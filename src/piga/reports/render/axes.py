@@ -21,11 +21,10 @@ try:
 except ModuleNotFoundError:
     raise missing_package("matplotlib") from None
 from matplotlib.axes import Axes
-from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from piga.reports.render.figure import INK, LIGHT, Axis, Figure, Panel, Series, bar_width
 
@@ -161,9 +160,6 @@ def _panel(
         axes.set_xscale("log")
     if panel.y.log:
         axes.set_yscale("log", nonpositive="mask")
-    for log, one in ((panel.x.log, axes.xaxis), (panel.y.log, axes.yaxis)):
-        if log:
-            _label_log(one)
     if panel.x.limits is not None:
         axes.set_xlim(*panel.x.limits)
     if panel.y.limits is not None:
@@ -180,22 +176,6 @@ def _panel(
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-
-
-def _label_log(one: XAxis | YAxis) -> None:
-    """Plain numbers at 1, 10, 100; over a short range also at 2 and 5; powers of ten far from 1."""
-    low, high = one.get_view_interval()
-    near = high < 100.0 * low
-    one.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if near else (1.0,)))
-    one.set_major_formatter(FuncFormatter(_log_words))
-    one.set_minor_formatter(NullFormatter())
-
-
-def _log_words(value: float, _: int | None) -> str:
-    if not value > 0.0:
-        return ""
-    plain = 1e-3 <= value < 1e5
-    return f"{value:g}" if plain else f"$10^{{{round(math.log10(value))}}}$"
 
 
 def _words(text: str, letters: float = math.inf) -> str:

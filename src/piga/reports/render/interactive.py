@@ -163,7 +163,7 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
     if axis.log:
         spec |= {"type": "log", "dtick": 1}
     if axis.dates:
-        spec |= {"type": "date", "nticks": 7, "tickformatstops": _DATE_STOPS}
+        spec |= {"type": "date", "nticks": 7, "tickformat": "%Y-%m-%d"}
     if axis.names:
         spec |= {
             "tickvals": list(range(1, len(axis.names) + 1)),
@@ -173,16 +173,6 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
         low, high = axis.limits
         spec["range"] = [math.log10(low), math.log10(high)] if axis.log else [low, high]
     return spec
-
-
-_DATE_STOPS = [
-    {"dtickrange": [None, 60_000], "value": "%H:%M:%S"},
-    {"dtickrange": [60_000, 86_400_000], "value": "%Y-%m-%d<br>%H:%M"},
-    {"dtickrange": [86_400_000, "M1"], "value": "%Y-%m-%d"},
-    {"dtickrange": ["M1", "M6"], "value": "%Y-%m"},
-    {"dtickrange": ["M12", None], "value": "%Y"},
-]
-"""Forms of a date by the distance between ticks, in milliseconds or months (M)."""
 
 
 def _layout(figure: Figure) -> dict[str, Any]:
