@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import piga
-from piga._kernels.compensation.vibration import near_nyquist
+from piga._kernels.compensation.terms import near_nyquist
 from piga.compensation import Mounted, SetCompensator
 from piga.records import Run
 from piga.reports.compensation import page

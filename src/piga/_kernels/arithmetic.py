@@ -24,7 +24,7 @@ import math
 
 import numpy as np
 
-from piga._kernels.jit import Array, exact, inline, kernel
+from piga._kernels.jit import Array, exact, inline
 
 _PI_HIGH = math.pi
 _PI_LOW = 1.2246467991473532e-16
@@ -150,7 +150,7 @@ _C4 = 2.087614614655861e-09
 _C5 = -1.1382623647474604e-11
 
 
-@kernel
+@inline
 def fast_sine_cosine(angle: float) -> tuple[float, float]:
     """``sin`` and ``cos`` of an angle of at most ``LIMIT`` [rad]; error below 2e-16."""
     quarter = np.rint(angle * _TWO_OVER_PI)
@@ -170,7 +170,7 @@ def fast_sine_cosine(angle: float) -> tuple[float, float]:
     return sign * s, sign * c
 
 
-@kernel
+@inline
 def sine_cosine(angle: float) -> tuple[float, float]:
     """``sin`` and ``cos`` of any finite angle [rad]."""
     if abs(angle) > LIMIT:

@@ -95,7 +95,8 @@ def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) ->
         chunk.vibration,
     )
     work = np.empty(at.MOST_TERMS if rows.u.size else 0)
-    compensate_record(samples, model.instrument, model.more, model.base_flag, state, rows, work)
+    row = at.records(1, at.ROW)
+    compensate_record(samples, model.instrument, model.more, model.base_flag, state, row, rows, work)
 
 
 def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:

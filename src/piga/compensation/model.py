@@ -153,7 +153,8 @@ def make_model(
     low, high = chosen.a_x
     cold, hot = chosen.temperature
     for name, value in {
-        "K": K * scale, "tan_beta": values.get("tan_beta", 0.0), "phi": values.get("phi", 0.0),
+        "K": K * scale, "per_K": 1.0 / (K * scale), "coupling": K * scale * values.get("tan_beta", 0.0),
+        "tan_beta": values.get("tan_beta", 0.0), "phi": values.get("phi", 0.0),
         "offset_y": K * values.get("s1", 0.0), "offset_z": -K * values.get("c1", 0.0),
         "t_0": calibration.time_reference, "T_0": T_0,
         "white": (scale * calibration.angle_rms) ** 2, "walk": (scale * calibration.angle_random_walk) ** 2,

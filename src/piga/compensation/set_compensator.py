@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.set import MEMBER, SetCovariance, SetPast, SetRows, SetSamples, empty_solution
+from piga._kernels.compensation.set import Instruments, SetPast, SetRows, SetSamples, empty_solution
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import find_begins
-from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
+from piga.compensation.model import Limits, Model, Phase, age_flag, make_model, velocity_variance
 from piga.compensation.result import CompensatedSet, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError
 from piga.records.arrays import empty
@@ -168,13 +168,10 @@ class SetCompensator:
         self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
         self._count, self._calibrations = len(instruments), [item.calibration for item in instruments]
         self.notes = notes_on(*self._calibrations)
-        self._instruments = at.records(self._count, at.INSTRUMENT)
-        for i, model in enumerate(self._models):
-            self._instruments[i] = model.instrument[0]
-        self._more = stacked([model.more for model in self._models])
+        self._instruments = stacked(self._models, self._axes)
         self._threshold = _fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
-        self._members, self._solution = at.records(self._count, MEMBER), empty_solution(self._count)
+        self._solution = empty_solution(self._count)
         self._starts = LockedStarts()
         self._sums = np.zeros((self._count, 3, SUMS))
 
@@ -253,8 +250,7 @@ class SetCompensator:
         result = self.empty_rows(time) if into is None else into
         before, sums = SetPast(*(array.copy() for array in self._past)), self._sums.copy()
         set_kernel(
-            SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._more, self._axes, self._flag,
-            self._threshold, self._past, self._members,
+            SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._flag, self._threshold, self._past,
             SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each, sums),
             self._solution,
         )  # fmt: skip
@@ -296,16 +292,18 @@ def _check_finite(**columns: Array) -> None:
             )
 
 
-def stacked(each: Sequence[at.Covariance]) -> SetCovariance:
+def stacked(models: Sequence[Model], axes: Array) -> Instruments:
     """Arrays of all instruments at one size. Padding: order 1 with amplitude 0, code of k0 with weight 0."""
-    count = len(each)
+    count, each = len(models), [model.more for model in models]
+    instruments = at.records(count, at.INSTRUMENT)
     waves = max(one.orders.size for one in each)
     size, rank = max(one.codes.size for one in each), max(one.factor.shape[0] for one in each)
     orders, sines, cosines = np.ones((count, waves)), np.zeros((count, waves)), np.zeros((count, waves))
     codes, factors = np.zeros((count, size), dtype=np.int64), np.zeros((count, rank, size))
     for i, one in enumerate(each):
+        instruments[i] = models[i].instrument[0]
         orders[i, : one.orders.size] = one.orders
         sines[i, : one.orders.size], cosines[i, : one.orders.size] = one.sines, one.cosines
         codes[i, : one.codes.size] = one.codes
         factors[i, : one.factor.shape[0], : one.codes.size] = one.factor
-    return SetCovariance(orders, sines, cosines, codes, factors)
+    return Instruments(instruments, orders, sines, cosines, codes, factors, axes)

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 import piga
 from piga._kernels.compensation.sample import solve_far, solve_small
-from piga._kernels.compensation.vibration import near_nyquist
+from piga._kernels.compensation.terms import near_nyquist
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, instrument, run_of
 

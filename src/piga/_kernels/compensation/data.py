@@ -1,6 +1,6 @@
-"""Data of the compensation kernels: an instrument, what is kept of earlier samples, one sample, and a row of the result.
+"""Data of the compensation kernels: an instrument, what is kept of earlier samples, one sample, and a row of an instrument.
 
-An instrument and a past are records of an array (:func:`records`), so that a set of N instruments is an array of N records.
+Instrument, past and row are records of an array (:func:`records`), so that a set of N instruments is an array of N records.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from piga.terms import ERROR_TERMS
 
 TERMS = ERROR_TERMS
 """Terms of the error model in the order of their codes; SI."""
-SCALE_FACTOR, TAN_BETA, PHI = 40, 41, 42
+SCALE_FACTOR, TAN_BETA, PHI = range(len(TERMS), len(TERMS) + 3)
 """Codes behind those of the terms."""
 HARMONIC = 100
 """Codes of the harmonics of order n of the output angle: 100 + 2 n sine, 101 + 2 n cosine."""
@@ -31,13 +31,16 @@ VIBRATION = 512
 class Instrument(Protocol):
     """Coefficients of an instrument, SI.
 
-    ``offset_y``, ``offset_z``: ``K s1`` and ``-K c1`` [rad/s] of the first harmonic. ``t_0``, ``T_0``: references of drift and
-    temperature. ``white``, ``walk``: variance of the angle noise [rad^2] and of its random walk [rad^2/s]. ``low``, ``high``:
-    calibrated range of a_x; ``most``: largest a_t [m/s^2]; ``cold``, ``hot``: range of the temperature above T_0 [K].
+    ``per_K``: 1/K; ``coupling``: K tan(beta). ``offset_y``, ``offset_z``: ``K s1`` and ``-K c1`` [rad/s] of the first harmonic.
+    ``t_0``, ``T_0``: references of drift and temperature. ``white``, ``walk``: variance of the angle noise [rad^2] and of its
+    random walk [rad^2/s]. ``low``, ``high``: calibrated range of a_x; ``most``: largest a_t [m/s^2]; ``cold``, ``hot``: range of
+    the temperature above T_0 [K].
     ``published``: 1 for the published formula. ``typical``: time that a rate sample stands for at the start of a stretch [s].
     """
 
     K: float
+    per_K: float
+    coupling: float
     tan_beta: float
     phi: float
     offset_y: float
@@ -87,7 +90,7 @@ class Past(Protocol):
     [m/s^2]. ``turns``, ``rest``: angle of a rate log. ``start``: psi of the first sample (published formula). ``phi``: phase
     used. ``nominal``: interval to detect gaps [s]; 0 until known.
 
-    To see vibration near the Nyquist frequency (:func:`.vibration.rectified`): ``force_...``: last force in the axes of the
+    To see vibration near the Nyquist frequency (:func:`.terms.see_vibration`): ``force_...``: last force in the axes of the
     instrument, ``step_...``: its last difference [m/s^2]. ``first_...``, ``second_...``: running mean squares of first and
     second differences, along X0 and across [m^2/s^4]. Sums over the rows with such a vibration: ``shaken`` [s],
     ``shaken_square``: its variance times time [m^2/s^3], ``rectified``: its possible velocity [m/s].
@@ -141,8 +144,67 @@ class Past(Protocol):
     rectified: float
 
 
-INSTRUMENT = np.dtype([(name, np.float64) for name in Instrument.__annotations__])
-PAST = np.dtype([(name, np.float64) for name in Past.__annotations__])
+class Row(Protocol):
+    """What one instrument says of an interval, as means, or of a sample.
+
+    ``h`` [s], 0 where a stretch begins; ``per``: 1 over the time that the row stands for in the noise [1/s]. ``turn``: angle
+    turned [rad]; ``half``: half of it, 0 for a sample. ``angle``, ``s``, ``c``: angle in the middle, sine and cosine. ``v``:
+    output rate over K [m/s^2]. ``base_x``, ``base_y``, ``base_z``: what base rate, first harmonic and reference add to ``u_x``
+    and to the transverse input, with their changes ``rise_...`` over the interval, and ``left``: their uncertainty between
+    samples [rad/s]. ``y``, ``z``: the whole transverse input; ``Omega_Y``, ``Omega_Z`` [rad/s]. ``t`` [s], ``temperature``
+    above T_0 [K] and its change ``dT``. ``vibration``: its mean square [m^2/s^4]. ``a_x, a_Y, a_Z`` and changes ``da_...``: the
+    force [m/s^2].
+    ``doubt``: uncertainty by the motion between samples, ``hidden``: by rectification [m/s^2]; ``shaken``: 1 in a vibration
+    that is flagged. Of a set: ``axis_...``: effective axis in the common frame; ``gain``: sin(half)/half; ``harmonics``: second
+    and higher ones, ``error``: error model, with its change ``derror``, ``misfit`` [m/s^2]; ``weight`` [s^4/m^2].
+    """
+
+    h: float
+    per: float
+    turn: float
+    half: float
+    angle: float
+    s: float
+    c: float
+    v: float
+    base_x: float
+    base_y: float
+    base_z: float
+    rise_x: float
+    rise_y: float
+    rise_z: float
+    left: float
+    y: float
+    z: float
+    Omega_Y: float
+    Omega_Z: float
+    t: float
+    temperature: float
+    dT: float
+    vibration: float
+    a_x: float
+    a_Y: float
+    a_Z: float
+    da_x: float
+    da_Y: float
+    da_Z: float
+    doubt: float
+    hidden: float
+    shaken: float
+    axis_x: float
+    axis_y: float
+    axis_z: float
+    gain: float
+    harmonics: float
+    error: float
+    derror: float
+    misfit: float
+    weight: float
+
+
+INSTRUMENT, PAST, ROW = (
+    np.dtype([(name, np.float64) for name in kind.__annotations__]) for kind in (Instrument, Past, Row)
+)
 
 
 class _PlainRecord(SimpleNamespace):
@@ -210,39 +272,4 @@ class Sample(NamedTuple):
     Omega_Y: float
     Omega_Z: float
     T: float
-    vibration: float
-
-
-class Inputs(NamedTuple):
-    """The inputs of an interval, as means (or of a sample), from which force and uncertainty follow.
-
-    ``h`` [s], 0 where a stretch begins; ``per``: 1 over the time that the row stands for in the noise [1/s]. ``turn``: angle
-    turned [rad]; ``half``: half of it, 0 for a sample. ``angle``, ``s``, ``c``: angle in the middle, sine and cosine. ``v``:
-    output rate over K [m/s^2]; ``Omega_x``, ``Omega_Y``, ``Omega_Z`` [rad/s]; ``y``, ``z``: transverse input at the end
-    [rad/s]. ``a_Y``, ``a_Z`` [m/s^2], ``T`` [K], with changes ``d...`` over the interval; ``t`` [s]. ``da``: change of a_x.
-    ``doubt``: uncertainty by the motion between samples [m/s^2]. ``vibration``: its mean square [m^2/s^4].
-    """
-
-    h: float
-    per: float
-    turn: float
-    half: float
-    angle: float
-    s: float
-    c: float
-    v: float
-    Omega_x: float
-    Omega_Y: float
-    Omega_Z: float
-    y: float
-    z: float
-    t: float
-    a_Y: float
-    a_Z: float
-    da_Y: float
-    da_Z: float
-    T: float
-    dT: float
-    da: float
-    doubt: float
     vibration: float

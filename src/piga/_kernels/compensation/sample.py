@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import bow_of, limited, sine_cosine
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.data import Covariance, Inputs, Instrument, Past, Sample
+from piga._kernels.compensation.data import Covariance, Instrument, Past, Row, Sample
 from piga._kernels.compensation.terms import (
     STRETCHES,
     add_to_velocity,
@@ -42,10 +42,9 @@ from piga._kernels.compensation.terms import (
     flags_of,
     harmonics,
     invert_terms,
+    see_vibration,
     uncertainty,
-    variance_by_coefficients,
 )
-from piga._kernels.compensation.vibration import rectified
 from piga._kernels.jit import Array, exact, inline_exact
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
@@ -54,14 +53,14 @@ _FAR_TURN = 0.25
 _FAR_PRODUCT = 1e-9
 """Largest ``(Y^2 + Z^2) delta^2`` for which two corrections reach rounding."""
 _NEWTON = 60
-EVEN = 1e-4
-"""Half the relative change of the interval up to which a series replaces a division (error 1e-8 of the rise)."""
-LIMITED, _NEXT_ORDER = 0.5, 0.15
+_EVEN = 2e-4
+"""Relative change of the interval up to which differences of higher order are taken (error 1e-8 of the rise)."""
+_LIMITED, _NEXT_ORDER = 0.5, 0.15
 """Standard uncertainty of a second derivative, as shares of the part that the limit cut off and of its last term. For
 oscillations at seven samples a period and more the mean square of error over uncertainty is 0.1 to 1.1."""
 _SERIES = 9.0
 """Largest square of half the angle turned for which a bow is weighted with the angle."""
-_BEGUN, TURNED = 1.0, 7e-4
+_BEGUN, _TURNED = 1.0, 7e-4
 """Standard uncertainty of a second derivative times ``h^2`` in the first interval of a stretch. Two samples give no second
 derivative. The uncertainty is a share of the change (as if the input began to move at the first sample) and of the mean. The
 share of the mean is for a turning point of an oscillation with 170 samples a period, where the change is small: there twice
@@ -69,18 +68,6 @@ the uncertainty covers the missing second derivative."""
 FADING = 0.6
 """Share of an uncertainty kept for the next interval. During an oscillation the estimate passes through zero, the error does
 not."""
-
-
-class Indication(NamedTuple):
-    """Mean specific force along X0 that the output indicates [m/s^2], the inputs of its interval, and ``h^2 u_x'`` [rad].
-
-    ``psi``: the angle at the end [rad].
-    """
-
-    force: float
-    inputs: Inputs
-    bend: float
-    psi: float
 
 
 class Spacing(NamedTuple):
@@ -110,29 +97,33 @@ def spacing(h: float, past: Past) -> Spacing:
 @inline_exact
 def transverse(p: Instrument, now: Sample) -> tuple[float, float]:
     """Transverse input ``tan_beta u_Y``, ``tan_beta u_Z`` with the first harmonic [rad/s]."""
-    coupling = p.K * p.tan_beta
     return (
-        coupling * now.a_Y + p.offset_y - p.tan_beta * now.Omega_Y,
-        coupling * now.a_Z + p.offset_z - p.tan_beta * now.Omega_Z,
+        p.coupling * now.a_Y + p.offset_y - p.tan_beta * now.Omega_Y,
+        p.coupling * now.a_Z + p.offset_z - p.tan_beta * now.Omega_Z,
     )
 
 
 @inline_exact
-def change_of_mean(u: float, gap: Spacing, past: Past) -> float:
-    """Change of ``u_x`` over an interval [rad/s] from its mean ``u`` there and the means before.
+def change_over(u: float, before: tuple[float, float, float], gap: Spacing, past: Past) -> tuple[float, float]:
+    """Change of an input over an interval from its mean ``u`` there and the means ``before``, latest first; its possible error.
 
     ``d + d^2/2 + d^3/4`` of backward differences ``d`` of the means: for input that is linear between samples the series is that
-    of ``2 d/(2 - d)``. Near the beginning of a stretch and where intervals differ, fewer differences are used.
+    of ``2 d/(2 - d)``. Near the beginning of a stretch and where intervals differ, fewer differences are used. The last term of
+    the series is the possible error. The first interval of a stretch gives no estimate.
     """
     if past.h1 == 0.0:
-        return 0.0
-    change, before = u - past.u1, past.u1 - past.u2
-    x = 0.5 * (past.h1 * gap.per - 1.0)
-    even = abs(x) <= EVEN and past.h2 != 0.0
-    if even and past.h3 != 0.0:
-        second = change - before
-        return change - change * x + 0.5 * second + 0.25 * (second - (before - (past.u2 - past.u3)))
-    return change * gap.h * gap.weight + (0.5 * (change - before) if even else 0.0)
+        return 0.0, 0.0
+    u1, u2, u3 = before
+    change = u - u1
+    value, second = change * gap.h * gap.weight, change - (u1 - u2)
+    if past.h2 == 0.0:
+        return value, change
+    if abs(past.h1 * gap.per - 1.0) > _EVEN:
+        return value, 0.5 * second
+    if past.h3 == 0.0:
+        return value + 0.5 * second, 0.5 * second
+    third = 0.25 * (second - ((u1 - u2) - (u2 - u3)))
+    return value + 0.5 * second + third, third
 
 
 @inline_exact
@@ -194,39 +185,37 @@ def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tupl
 
 
 @inline_exact
-def _mean_along(
-    past: Past, gap: Spacing, turn: float, y: float, z: float, s: float, c: float
-) -> tuple[float, float, float]:
-    """Mean ``u_x`` of an interval, its change, and the mean for constant input [rad/s]; ``s``, ``c`` in the middle.
+def _mean_along(past: Past, gap: Spacing, x: Row) -> tuple[float, float, float]:
+    """Mean ``u_x`` of an interval, its change, and the mean for constant input [rad/s].
 
     The Magnus terms of input that is linear in the interval are small compared with its mean. The equation is
     solved for the mean and corrected for these terms to first order (their square is below rounding).
     """
-    h, delta, y0, z0 = gap.h, 0.5 * turn, past.y, past.z
-    mean_y, mean_z = 0.5 * (y0 + y), 0.5 * (z0 + z)
-    A, gain = constant_input(delta, h * mean_y, h * mean_z, s, c)
+    h, y, z, dy, dz = gap.h, x.base_y, x.base_z, x.rise_y, x.rise_z
+    A, gain = constant_input(x.half, h * y, h * z, x.s, x.c)
     a = A * gap.per
-    rise = change_of_mean(a, gap, past)
+    rise, _ = change_over(a, (past.u1, past.u2, past.u3), gap, past)
     cross = h * h * (1.0 / 12.0)
-    Y = cross * (a * (z - z0) - rise * mean_z)
-    Z = -cross * (a * (y - y0) - rise * mean_y)
-    bent = Y * s - Z * c - delta * (1.0 / 3.0) * h * (mean_y * Y + mean_z * Z)
-    return (A - (gain * bent + cross * (y0 * z - z0 * y))) * gap.per, rise, a
+    Y, Z = cross * (a * dz - rise * z), -cross * (a * dy - rise * y)
+    bent = Y * x.s - Z * x.c - x.half * (1.0 / 3.0) * h * (y * Y + z * Z)
+    return (A - (gain * bent + cross * (y * dz - z * dy))) * gap.per, rise, a
 
 
 @inline_exact
 def bow(gap: Spacing, x0: float, x1: float, x2: float, bend_before: float) -> tuple[float, float, float]:
     """Mean of an input over an interval less the mean of both ends, its standard uncertainty, and its second derivative.
 
-    ``x0, x1, x2`` are the last samples, latest first.
+    ``x0, x1, x2`` are the last samples, latest first. Equal samples have no bow.
     """
+    if x0 == x1 and x1 == x2 and bend_before == 0.0:
+        return 0.0, 0.0, 0.0
     if gap.weight == 0.0:
-        started = _BEGUN * abs(x0 - x1) + (0.5 * TURNED * abs(x0 + x1) if x0 != x1 else 0.0)
+        started = _BEGUN * abs(x0 - x1) + (0.5 * _TURNED * abs(x0 + x1) if x0 != x1 else 0.0)
         return 0.0, started / 12.0, 0.0
     bend = ((x0 - x1) * gap.per - (x1 - x2) * gap.per_before) * gap.weight
     value = bend + (bend - bend_before) * gap.ahead
     taken = limited(value, bend, bend_before)
-    size = LIMITED * abs(value - taken) + _NEXT_ORDER * abs(bend - bend_before)
+    size = _LIMITED * abs(value - taken) + _NEXT_ORDER * abs(bend - bend_before)
     return bow_of(gap.h, taken), gap.h * gap.h * size * (1.0 / 12.0), bend
 
 
@@ -238,24 +227,72 @@ def _bow_share(half: float) -> float:
 
 
 @inline_exact
-def doubt_of_interval(
-    per_K: float, past: Past, seen: tuple[float, float, float], h: float, across: float, left: float
-) -> float:
+def read_interval(p: Instrument, past: Past, now: Sample, gap: Spacing, x: Row) -> tuple[float, float]:
+    """The interval that ends at a sample of the angle: its row but for the force. Returns the bows of ``y`` and ``z`` [rad/s]."""
+    y, z = transverse(p, now)
+    x.h, x.per, x.turn = gap.h, gap.per, now.psi - past.psi
+    x.half, x.angle = 0.5 * x.turn, p.phi - past.start + 0.5 * (past.psi + now.psi)
+    x.s, x.c = sine_cosine(x.angle)
+    x.v = x.turn * gap.per * p.per_K
+    bow_y, left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
+    bow_z, left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
+    bow_x, left_x, bend_x = bow(gap, now.Omega_x, past.Omega_x, past.Omega_x_before, past.bend_x)
+    x.left = left_x + left_y * abs(x.s) + left_z * abs(x.c)
+    x.base_x, x.rise_x = 0.5 * (past.Omega_x + now.Omega_x) + bow_x, now.Omega_x - past.Omega_x
+    x.base_y, x.rise_y = 0.5 * (past.y + y), y - past.y
+    x.base_z, x.rise_z = 0.5 * (past.z + z), z - past.z
+    x.Omega_Y, x.Omega_Z = 0.5 * (past.Omega_Y + now.Omega_Y), 0.5 * (past.Omega_Z + now.Omega_Z)
+    x.a_Y, x.da_Y = 0.5 * (past.a_Y + now.a_Y), now.a_Y - past.a_Y
+    x.a_Z, x.da_Z = 0.5 * (past.a_Z + now.a_Z), now.a_Z - past.a_Z
+    x.t = 0.5 * (past.t + now.t)
+    x.temperature, x.dT = 0.5 * (past.temperature + now.T), now.T - past.temperature
+    before, vibration = past.vibration, now.vibration
+    x.vibration = (before * (before + vibration) + vibration * vibration) * (1.0 / 3.0)
+    x.y, x.z = y, z
+    keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
+    return bow_y, bow_z
+
+
+@inline_exact
+def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float, h: float, x: Row) -> None:
+    """A sample of the rate, ``h`` [s] after the last one, with its angle: its row but for the force.
+
+    Changes and half the turn, which only an interval has, stay 0 as they were made.
+    """
+    y, z = transverse(p, now)
+    x.h, x.per = h, 1.0 / (h if h != 0.0 else p.typical)
+    x.turn, x.angle = psi - past.psi, angle
+    x.s, x.c = sine_cosine(angle)
+    x.v = now.rate * p.per_K
+    x.base_x, x.base_y, x.base_z, x.y, x.z = now.Omega_x, y, z, y, z
+    x.Omega_Y, x.Omega_Z = now.Omega_Y, now.Omega_Z
+    x.a_Y, x.a_Z, x.t, x.temperature = now.a_Y, now.a_Z, now.t, now.T
+    x.vibration = now.vibration * now.vibration
+    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+
+
+@inline_exact
+def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
+    """A sample of the angle with no interval before it: only its inputs are kept."""
+    y, z = transverse(p, now)
+    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+
+
+@inline_exact
+def _doubt_of_interval(per_K: float, past: Past, force: float, slope: float, x: Row) -> float:
     """Uncertainty of the mean force of an interval by the motion between samples [m/s^2].
 
-    It includes the uncertainties ``left`` of the bows [rad/s], and the bend of the angle between samples beyond the change of
+    It includes the uncertainties of the bows, and the bend of the angle between samples beyond the change of
     ``u_x`` predicted from earlier intervals. The first interval of a stretch adds nothing to the next one, because the next
     one has a second derivative. It shows no change of ``u_x``. Where the sampled input changes, a change by the mean of
     ``u_x`` is assumed. In the second interval the change itself is used.
 
-    ``seen``: indicated force without the base rate, its change, and its change over the interval before [m/s^2].
-    ``across``: twice ``tan_beta (u_Y cos + u_Z sin)`` in the middle [rad/s].
+    ``force``, ``slope``: indicated force without the base rate, and its change over the interval [m/s^2].
     """
-    force, slope, slope_before = seen
-    here, coupling = left * per_K, abs(across)
-    bend = h * coupling * (1.0 / 24.0)
+    here, coupling = x.left * per_K, 2.0 * abs(x.base_y * x.c + x.base_z * x.s)
+    bend = x.h * coupling * (1.0 / 24.0)
     if past.h1 != 0.0 and past.h2 != 0.0:
-        here += bend * abs(slope - slope_before)
+        here += bend * abs(slope - past.slope)
     else:
         change = slope if past.h1 != 0.0 else (0.0 if here == 0.0 else force)
         here += min(bend * abs(change), 0.5 * coupling * per_K)
@@ -263,49 +300,21 @@ def doubt_of_interval(
 
 
 @inline_exact
-def _begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
-    """A sample of the angle with no interval before it: only its inputs are kept."""
-    y, z = transverse(p, now)
-    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
-    keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@inline_exact
-def _indicate_interval(p: Instrument, past: Past, now: Sample, h: float) -> Indication:
-    """Indicated mean force over the interval that ends at a sample of the angle; the past is updated but for the force."""
-    y, z = transverse(p, now)
-    turn, middle = now.psi - past.psi, p.phi - past.start + 0.5 * (past.psi + now.psi)
-    s, c = sine_cosine(middle)
-    gap, per_K = spacing(h, past), 1.0 / p.K
-    rate = turn * gap.per
-    if p.published != 0.0:
-        u_x, rise, u = rate - 0.5 * ((past.y + y) * s - (past.z + z) * c), 0.0, rate
+def _indicate_interval(p: Instrument, past: Past, now: Sample, h: float, x: Row) -> tuple[float, float]:
+    """Indicated mean force over the interval that ends at a sample of the angle, and ``h^2 u_x'`` [rad]."""
+    gap, per_K = spacing(h, past), p.per_K
+    bow_y, bow_z = read_interval(p, past, now, gap, x)
+    if p.published != 0.0:  # the published formula takes the transverse reference as straight between samples
+        u = x.turn * gap.per
+        u_x, rise, bow_y, bow_z = u - (x.base_y * x.s - x.base_z * x.c), 0.0, 0.0, 0.0
     else:
-        u_x, rise, u = _mean_along(past, gap, turn, y, z, s, c)
+        u_x, rise, u = _mean_along(past, gap, x)
     slope = rise * per_K
-    bow_y, left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
-    bow_z, left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
-    bow_x, left_x, bend_x = bow(gap, now.Omega_x, past.Omega_x, past.Omega_x_before, past.bend_x)
-    left = left_x + left_y * abs(s) + left_z * abs(c)
-    across = (past.y + y) * c + (past.z + z) * s
-    doubt = doubt_of_interval(per_K, past, (u_x * per_K, slope, past.slope), h, across, left)
-    if p.published != 0.0:
-        bow_y = bow_z = 0.0  # the published formula takes the transverse reference as straight between samples
-    base = 0.5 * (past.Omega_x + now.Omega_x) + bow_x
-    force = (u_x + base - _bow_share(0.5 * turn) * (bow_y * s - bow_z * c)) * per_K
+    x.da_x, x.doubt = slope + x.rise_x * per_K, _doubt_of_interval(per_K, past, u_x * per_K, slope, x)
+    force = (u_x + x.base_x - _bow_share(x.half) * (bow_y * x.s - bow_z * x.c)) * per_K
     bend = h * (u_x - past.u_x) if past.h1 != 0.0 else 0.0
-    inputs = Inputs(
-        h, gap.per, turn, 0.5 * turn, middle, s, c, rate * per_K,
-        base, 0.5 * (past.Omega_Y + now.Omega_Y), 0.5 * (past.Omega_Z + now.Omega_Z), y, z,
-        0.5 * (past.t + now.t), 0.5 * (past.a_Y + now.a_Y), 0.5 * (past.a_Z + now.a_Z),
-        now.a_Y - past.a_Y, now.a_Z - past.a_Z, 0.5 * (past.temperature + now.T), now.T - past.temperature,
-        slope + (now.Omega_x - past.Omega_x) * per_K, doubt,
-        (past.vibration * (past.vibration + now.vibration) + now.vibration * now.vibration) / 3.0,
-    )  # fmt: skip
-    kept = doubt if past.h1 != 0.0 else 0.0
-    keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
-    keep_interval(past, h, u, u_x, slope, kept)
-    return Indication(force, inputs, bend, now.psi)
+    keep_interval(past, h, u, u_x, slope, x.doubt if past.h1 != 0.0 else 0.0)
+    return force, bend
 
 
 @inline_exact
@@ -357,24 +366,18 @@ def _follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[floa
 
 
 @inline_exact
-def _indicate_sample(p: Instrument, past: Past, now: Sample, h: float, recorded: bool) -> Indication:
-    """Indicated force at a sample of the rate; ``recorded``: its angle is recorded, too. The past is updated but for the force."""
-    angle = p.phi + now.psi
+def _indicate_sample(
+    p: Instrument, past: Past, now: Sample, h: float, recorded: bool, x: Row
+) -> tuple[float, float]:
+    """Indicated force at a sample of the rate, and psi; ``recorded``: its angle is recorded, too."""
+    angle, psi = p.phi + now.psi, now.psi
     if not recorded:
         past.turns, past.rest = _follow_rate(p, past, now, h)
-        angle = past.rest
-    psi = now.psi if recorded else unwrapped(past.turns, past.rest)
-    y, z = transverse(p, now)
-    s, c = sine_cosine(angle)
-    u_x = now.rate - (y * s - z * c)
-    per = 1.0 / (h if h != 0.0 else p.typical)
-    inputs = Inputs(
-        h, per, psi - past.psi, 0.0, angle, s, c, now.rate / p.K, now.Omega_x, now.Omega_Y, now.Omega_Z,
-        y, z, now.t, now.a_Y, now.a_Z, 0.0, 0.0, now.T, 0.0, 0.0, 0.0, now.vibration * now.vibration,
-    )  # fmt: skip
-    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+        angle, psi = past.rest, unwrapped(past.turns, past.rest)
+    read_sample(p, past, now, psi, angle, h, x)
+    u_x = now.rate - (x.y * x.s - x.z * x.c)
     keep_interval(past, h, 0.0, u_x, 0.0, 0.0)
-    return Indication((u_x + now.Omega_x) / p.K, inputs, 0.0, psi)
+    return (u_x + now.Omega_x) * p.per_K, psi
 
 
 @inline_exact
@@ -386,6 +389,7 @@ def _compensate_sample(
     h: float,
     kind: int,
     warm: bool,
+    x: Row,
     work: Array,
     sums: Array,
 ) -> tuple[float, float, float, int]:
@@ -403,8 +407,8 @@ def _compensate_sample(
         ``ANGLE``, ``RATE``, or ``_BOTH``: a rate with its recorded angle.
     warm:
         The temperature is recorded.
-    work:
-        Room for the regressors; empty: no uncertainty is wanted.
+    x, work:
+        Room for the row, and for the regressors; empty: no uncertainty is wanted.
     sums:
         Sums for the uncertainty of the velocity; updated.
 
@@ -417,30 +421,29 @@ def _compensate_sample(
         past.start = now.psi if p.published != 0.0 and kind == ANGLE else 0.0
     elif past.phi != p.phi:
         past.rest += p.phi - past.phi  # a new segment of the same stretch has its own zero
-    before = past.a_x
+    before, psi, bend = past.a_x, now.psi, 0.0
     if kind != ANGLE:
-        seen = _indicate_sample(p, past, now, h, kind == _BOTH)
+        indicated, psi = _indicate_sample(p, past, now, h, kind == _BOTH, x)
     elif h != 0.0:
-        seen = _indicate_interval(p, past, now, h)
+        indicated, bend = _indicate_interval(p, past, now, h, x)
     else:
-        _begin_stretch(p, past, now)
+        begin_stretch(p, past, now)
+        keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
         keep_sample(past, now, now.psi, p.phi, 0.0)
         sums[STRETCHES] += 1.0
         return math.nan, 0.0, math.nan, at.NO_INCREMENT
-    x, indicated = seen.inputs, seen.force
     if more.orders.size:
-        indicated -= harmonics(more, x, seen.bend)
+        indicated -= harmonics(more, x, bend)
     a, derivative = invert_terms(p, x, indicated)
-    steady = past.h1 * past.h2 * past.h3 != 0.0
-    hidden, shaken = rectified(p, past, (a, now.a_Y, now.a_Z), h, steady, kind != ANGLE)
+    x.a_x = a
+    see_vibration(p, past, now.a_Y, now.a_Z, past.h1 * past.h2 * past.h3 != 0.0, kind != ANGLE, x)
     u = math.nan
     if work.size:
-        variance = variance_by_coefficients(more, p, x, a, work) + hidden * hidden
-        dead = dead_zone(p, x.a_Y, x.a_Z, a)
-        u = uncertainty(p, x, variance, derivative, dead)
-        add_to_velocity(sums, more.codes.size, work, h, derivative, x.doubt, hidden, dead)
-    flags = flags_of(p, x, a, warm) | (at.VIBRATION if shaken else 0)
-    keep_sample(past, now, seen.psi, p.phi, a)
+        dead = dead_zone(p, x)
+        u = uncertainty(p, more, x, derivative, dead, work)
+        add_to_velocity(sums, more.codes.size, work, x, derivative, dead)
+    flags = flags_of(p, x, warm)
+    keep_sample(past, now, psi, p.phi, a)
     if kind == ANGLE:
         return a, a * h + 0.0, u, flags  # never a negative zero
     return a, 0.5 * h * (before + a) if h != 0.0 else 0.0, u, flags | (at.NO_INCREMENT if h == 0.0 else 0)
@@ -481,14 +484,21 @@ class Rows(NamedTuple):
 
 @exact
 def compensate_record(
-    samples: Samples, instrument: Any, more: Covariance, base_flag: int, past: Any, rows: Rows, work: Array
+    samples: Samples,
+    instrument: Any,
+    more: Covariance,
+    base_flag: int,
+    past: Any,
+    row: Any,
+    rows: Rows,
+    work: Array,
 ) -> None:
     """Compensate samples one after the other.
 
-    ``instrument`` and ``past`` are arrays of one record; the past is updated. ``base_flag``: flags for all rows.
-    ``work``: room for the regressors; empty if no uncertainty is wanted.
+    ``instrument``, ``past`` and ``row`` are arrays of one record; the past is updated, the row is room. ``base_flag``: flags for
+    all rows. ``work``: room for the regressors; empty if no uncertainty is wanted.
     """
-    p, last = instrument[0], past[0]
+    p, last, x = instrument[0], past[0], row[0]
     t, psi, rate, y, z, begins, base_rate, temperature, vibration = samples
     ax, dv, u, flags, sums = rows
     turning, warm, shaken = base_rate.shape[0] > 0, temperature.size > 0, vibration.size > 0
@@ -507,7 +517,7 @@ def compensate_record(
             vibration[j] if shaken else 0.0,
         )
         h = 0.0 if begins[j] or last.seen == 0.0 else now.t - last.t
-        ax[j], dv[j], doubt, flag = _compensate_sample(p, more, last, now, h, kind, warm, work, sums)
+        ax[j], dv[j], doubt, flag = _compensate_sample(p, more, last, now, h, kind, warm, x, work, sums)
         if u.size:
             u[j] = doubt
         if flags.size:

@@ -1,15 +1,21 @@
-"""Inverse of the error model for one interval (or sample), with uncertainty and validity of the result.
+"""The error model of one row, its inverse, and uncertainty and validity of the result.
 
 A triangular factor ``R`` represents the covariance ``R'R`` of the coefficients. The variance ``|R x|^2`` for the regressors
 ``x`` of a row is then a sum of squares.
+
+**Vibration near the Nyquist frequency.** The output gives the mean force of an interval. The mean of ``f^2`` is larger than the
+square of the mean by the variance within the interval. Where the force is smooth, its change over the interval gives this
+variance. Of a vibration near the Nyquist frequency no sample shows it [own choice, docs/theory/compensation].
 """
 
 from __future__ import annotations
 
 import math
 
+from numpy.typing import NDArray
+
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.data import Covariance, Inputs, Instrument
+from piga._kernels.compensation.data import Covariance, Instrument, Past, Row
 from piga._kernels.estimation import half_angle_moments
 from piga._kernels.jit import Array, exact, inline_exact
 
@@ -18,14 +24,10 @@ NEAR = 1.25
 _ITERATIONS = 4
 """Newton steps: the error model is nearly linear, each step squares a relative error below 1e-2."""
 TWELFTH = 1.0 / 12.0
-(
-    K0, K1, K2, K3, _K2O, _K1A, M_Y, _M_Z, _K_XY, _K_XZ, _K_YY, _K_ZZ, _K_YZ, _K0_TIME, _K0_TEMP, _K1_TEMP,
-    _K2_VIBRATION, SERVO, _SERVO_DAMPING,
-) = range(len(at.TERMS))  # fmt: skip
 
 
 @exact
-def harmonics(more: Covariance, x: Inputs, bend: float) -> float:
+def harmonics(more: Covariance, x: Row, bend: float) -> float:
     """Second and higher harmonics of the output angle [m/s^2]; their mean over an interval by Filon's rule.
 
     ``bend``: ``h^2`` times the slope of ``u_x`` [rad], the sag of the angle to first order.
@@ -57,24 +59,45 @@ def size_mean(a: float, change: float) -> float:
     return a * a / abs(change) + 0.25 * abs(change)
 
 
+@exact
+def _servo_error(p: Instrument, x: Row) -> float:
+    """Contribution of the servo to the indicated force [m/s^2].
+
+    The mean of ``-2 s v (y sin - z cos)^2 - d v^2 (y cos + z sin)`` with ``(y, z) = (u_Y, u_Z)/K``. Here ``v`` is the output
+    rate over K, which moves the load of the servo; in the terms of the calibration it is ``u_x/K``, the same to first order.
+    """
+    y, z = x.a_Y - x.Omega_Y * p.per_K, x.a_Z - x.Omega_Z * p.per_K
+    once, _, _ = half_angle_moments(x.half)
+    twice, _, _ = half_angle_moments(2.0 * x.half)
+    across, along = y * x.s - z * x.c, y * x.c + z * x.s
+    steady, turning = across * across + along * along, along * along - across * across
+    return -x.v * (p.servo * (steady - twice * turning) + p.servo_damping * x.v * once * along)
+
+
 @inline_exact
-def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, float]:
+def error_without_powers(p: Instrument, x: Row) -> tuple[float, float]:
+    """The error model but for powers of ``a_x``: the part without ``a_x`` [m/s^2], and what multiplies ``a_x``."""
+    y, z, dy, dz = x.a_Y, x.a_Z, x.da_Y, x.da_Z
+    apart = p.k0 + p.m_Y * y + p.m_Z * z + p.k0_T * x.temperature + p.k0_t * (x.t - p.t_0)
+    apart += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
+    apart += p.k_YZ * (y * z + dy * dz * TWELFTH)
+    apart += (p.k_XY * dy + p.k_XZ * dz) * x.da_x * TWELFTH
+    apart += p.k2v * x.vibration
+    if p.servo != 0.0 or p.servo_damping != 0.0:
+        apart += _servo_error(p, x)
+    return apart, p.k1 + p.k_XY * y + p.k_XZ * z + p.k1_T * x.temperature
+
+
+@inline_exact
+def invert_terms(p: Instrument, x: Row, indicated: float) -> tuple[float, float]:
     """Specific force ``a_x`` from the indicated force, to rounding, and the derivative of one by the other.
 
     Terms linear in ``a_x`` are solved first.
     """
     if p.has_terms == 0.0:
         return indicated, 1.0
-    y, z, dy, dz, da = x.a_Y, x.a_Z, x.da_Y, x.da_Z, x.da
-    apart = p.k0 + p.m_Y * y + p.m_Z * z + p.k0_T * x.T + p.k0_t * (x.t - p.t_0)
-    apart += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
-    apart += p.k_YZ * (y * z + dy * dz * TWELFTH)
-    apart += (p.k_XY * dy + p.k_XZ * dz + p.k1_T * x.dT) * da * TWELFTH
-    apart += p.k2v * x.vibration
-    right, gain = indicated - apart, p.k1 + p.k_XY * y + p.k_XZ * z + p.k1_T * x.T
-    if p.servo != 0.0 or p.servo_damping != 0.0:
-        right -= servo_error(p, x)
-    inverse = 1.0 / (1.0 + gain)
+    apart, gain = error_without_powers(p, x)
+    right, inverse, da = indicated - apart - p.k1_T * x.dT * x.da_x * TWELFTH, 1.0 / (1.0 + gain), x.da_x
     a = right * inverse
     if p.k2 != 0.0 or p.k3 != 0.0:
         spread = da * da * TWELFTH
@@ -97,104 +120,54 @@ def invert_terms(p: Instrument, x: Inputs, indicated: float) -> tuple[float, flo
     return a, inverse
 
 
-@exact
-def servo_error(p: Instrument, x: Inputs) -> float:
-    """Contribution of the servo to the indicated force [m/s^2].
-
-    The mean of ``-2 s v (y sin - z cos)^2 - d v^2 (y cos + z sin)`` with ``(y, z) = (u_Y, u_Z)/K``. Here ``v`` is the output
-    rate over K, which moves the load of the servo; in the terms of the calibration it is ``u_x/K``, the same to first order.
-    """
-    y, z = x.a_Y - x.Omega_Y / p.K, x.a_Z - x.Omega_Z / p.K
-    once, _, _ = half_angle_moments(x.half)
-    twice, _, _ = half_angle_moments(2.0 * x.half)
+@inline_exact
+def _fill_regressors(codes: NDArray, p: Instrument, x: Row, work: Array) -> None:
+    """Derivatives of the indicated force by the coefficients with these codes."""
+    a, y, z, per_K = x.a_x, x.a_Y, x.a_Z, p.per_K
     across, along = y * x.s - z * x.c, y * x.c + z * x.s
-    steady, turning = across * across + along * along, along * along - across * across
-    return -x.v * (p.servo * (steady - twice * turning) + p.servo_damping * x.v * once * along)
+    each = (  # in the order of the codes
+        1.0, a, a * a, a * a * a, a * abs(a), abs(a), y, z, a * y, a * z, y * y, z * z, y * z, x.t - p.t_0,
+        x.temperature, a * x.temperature, x.vibration, -2.0 * x.v * across * across, -x.v * x.v * along,
+    )  # fmt: skip
+    for k in range(codes.size):
+        code = codes[k]
+        if code < at.SCALE_FACTOR:
+            work[k] = each[code]
+        elif code == at.SCALE_FACTOR:
+            work[k] = (x.v + x.base_x * per_K) * per_K
+        elif code == at.TAN_BETA:
+            work[k] = across
+        elif code == at.PHI:
+            work[k] = (x.y * x.c + x.z * x.s) * per_K
+        else:
+            angle = ((code - at.HARMONIC) // 2) * x.angle
+            work[k] = math.sin(angle) if code % 2 == 0 else math.cos(angle)
 
 
 @inline_exact
-def _power_regressor(code: int, a: float) -> float:
-    """Derivative by ``k0``, ``k1``, ``k2``, ``k3``, ``k2o`` or ``k1a``."""
-    if code == K0:
-        return 1.0
-    if code == K1:
-        return a
-    if code == _K2O:
-        return a * abs(a)
-    if code == _K1A:
-        return abs(a)
-    return a * a if code == K2 else a * a * a
+def uncertainty(p: Instrument, more: Covariance, x: Row, derivative: float, dead: float, work: Array) -> float:
+    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, rectification, noise of the output, motion between samples, dead zone.
 
-
-@inline_exact
-def _product_regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
-    """Derivative by a term that is a product with the transverse force, time or temperature."""
-    if code <= _K_XZ:
-        across = x.a_Y if code in (M_Y, _K_XY) else x.a_Z
-        return across if code in (M_Y, _M_Z) else a * across
-    if code == _K_YY:
-        return x.a_Y * x.a_Y
-    if code <= _K_YZ:
-        return (x.a_Z if code == _K_ZZ else x.a_Y) * x.a_Z
-    if code == _K0_TIME:
-        return x.t - p.t_0
-    return x.T if code == _K0_TEMP else a * x.T
-
-
-@inline_exact
-def regressor(code: int, p: Instrument, x: Inputs, a: float) -> float:
-    """Derivative of the indicated force by one coefficient."""
-    if code == at.SCALE_FACTOR:
-        per_K = 1.0 / p.K
-        return (x.v + x.Omega_x * per_K) * per_K
-    if code == at.TAN_BETA:
-        return x.a_Y * x.s - x.a_Z * x.c
-    if code == at.PHI:
-        return (x.y * x.c + x.z * x.s) / p.K
-    if code >= at.HARMONIC:
-        angle = ((code - at.HARMONIC) // 2) * x.angle
-        return math.sin(angle) if code % 2 == 0 else math.cos(angle)
-    if code <= _K1A:
-        return _power_regressor(code, a)
-    if code == _K2_VIBRATION:
-        return x.vibration
-    if code <= _K1_TEMP:
-        return _product_regressor(code, p, x, a)
-    across, along = x.a_Y * x.s - x.a_Z * x.c, x.a_Y * x.c + x.a_Z * x.s
-    return -2.0 * x.v * across * across if code == SERVO else -x.v * x.v * along
-
-
-@inline_exact
-def variance_by_coefficients(more: Covariance, p: Instrument, x: Inputs, a: float, work: Array) -> float:
-    """Variance of the indicated force by the coefficients [m^2/s^4]; ``work`` has room for the regressors."""
-    count = more.codes.size
-    for k in range(count):
-        work[k] = regressor(more.codes[k], p, x, a)
-    total = 0.0
+    ``derivative``: of the force by the indicated one. ``work`` receives the regressors of the coefficients.
+    """
+    _fill_regressors(more.codes, p, x, work)
+    variance = x.hidden * x.hidden
     for i in range(more.factor.shape[0]):
         part = 0.0
-        for k in range(i, count):
+        for k in range(i, more.codes.size):
             part += more.factor[i, k] * work[k]
-        total += part * part
-    return total
+        variance += part * part
+    noise = (2.0 * p.white * x.per + p.walk) * x.per * p.per_K * p.per_K
+    return math.sqrt((variance + noise + x.doubt * x.doubt) * derivative * derivative + dead * dead)
 
 
 @inline_exact
-def uncertainty(p: Instrument, x: Inputs, variance: float, derivative: float, dead: float) -> float:
-    """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, noise of the output, motion between samples, ``dead`` zone."""
-    inverse = 1.0 / (p.K * p.K)
-    noise = (2.0 * p.white * inverse * x.per + p.walk * inverse) * x.per
-    square = (variance + noise + x.doubt * x.doubt) * derivative * derivative
-    return math.sqrt(square + dead * dead)
-
-
-@inline_exact
-def dead_zone(p: Instrument, a_Y: float, a_Z: float, a: float) -> float:
+def dead_zone(p: Instrument, x: Row) -> float:
     """Standard uncertainty of ``a_x`` by the dead zone [m/s^2]; 0 far from it."""
-    square = p.tan_beta * p.tan_beta * (a_Y * a_Y + a_Z * a_Z)
-    if a * a >= NEAR * NEAR * square:
+    square = p.tan_beta * p.tan_beta * (x.a_Y * x.a_Y + x.a_Z * x.a_Z)
+    if x.a_x * x.a_x >= NEAR * NEAR * square:
         return 0.0
-    dead, size = math.sqrt(square), abs(a)
+    dead, size = math.sqrt(square), abs(x.a_x)
     share = 1.0 if size <= dead else (NEAR * dead - size) / ((NEAR - 1.0) * dead)
     return dead * math.sqrt(share / 3.0)
 
@@ -205,33 +178,31 @@ SUMS = at.MOST_TERMS + 6
 
 
 @inline_exact
-def add_to_velocity(
-    sums: Array, count: int, work: Array, h: float, gain: float, doubt: float, hidden: float, dead: float
-) -> None:
+def add_to_velocity(sums: Array, count: int, work: Array, x: Row, gain: float, dead: float) -> None:
     """Add a row to the sums over rows from which the uncertainty of the velocity follows.
 
     ``work``: derivatives of the indicated force by ``count`` coefficients. ``gain``: derivative of the force by the indicated
-    one. ``doubt``, ``hidden``, ``dead``: uncertainty by the motion between samples, by rectification and by the dead zone
-    [m/s^2].
+    one. ``dead``: uncertainty by the dead zone [m/s^2].
     """
+    h = x.h
+    moved, size = gain * h, abs(gain) * h
     for k in range(count):
-        sums[k] += gain * h * work[k]
-    size = abs(gain) * h
+        sums[k] += moved * work[k]
     sums[TIME] += h
     sums[GAIN] += gain * size
-    sums[DOUBT] += (size * doubt) ** 2
-    sums[HIDDEN] += size * hidden
+    sums[DOUBT] += (size * x.doubt) ** 2
+    sums[HIDDEN] += size * x.hidden
     sums[DEAD] += h * dead
     if h == 0.0:
         sums[STRETCHES] += 1.0
 
 
 @inline_exact
-def flags_of(p: Instrument, x: Inputs, a: float, warm: bool) -> int:
+def flags_of(p: Instrument, x: Row, warm: bool) -> int:
     """Validity of a row. ``warm``: the temperature is recorded."""
-    square, across = a * a, x.a_Y * x.a_Y + x.a_Z * x.a_Z
-    dead = p.tan_beta * p.tan_beta * across
-    flag = 0
+    a, across = x.a_x, x.a_Y * x.a_Y + x.a_Z * x.a_Z
+    square, dead = a * a, p.tan_beta * p.tan_beta * across
+    flag = at.VIBRATION if x.shaken != 0.0 else 0
     if square < dead:
         flag |= at.LOCKED
     elif square < NEAR * NEAR * dead:
@@ -240,6 +211,76 @@ def flags_of(p: Instrument, x: Inputs, a: float, warm: bool) -> int:
         flag |= at.OUT_OF_RANGE
     if x.h != 0.0 and abs(x.turn) > 1.0:
         flag |= at.COARSE
-    if warm and (p.cold > x.T or p.hot < x.T):
+    if warm and (p.cold > x.temperature or p.hot < x.temperature):
         flag |= at.TEMPERATURE
     return flag
+
+
+_SHARE = 1.0 / 32.0
+"""Share of a row in the running mean squares."""
+FAST = 1.0
+"""Mean square of second over that of first differences of an oscillation of six samples a period (half of Nyquist: 2, white: 3)."""
+FULL = 3.0
+"""The same from which all of the variance counts: that of white samples."""
+_ABOVE_NOISE = 4.0
+"""Least mean square of the second differences, over that of the noise that the calibration states."""
+WHITE = 1.0 / 6.0
+"""Variance of white samples over the mean square of their second differences."""
+_BEYOND = 3.0
+"""Standard uncertainty of the hidden variance over the variance seen (docs/theory/compensation)."""
+SAMPLED = 0.5
+"""The same for a reference: its samples show all of the variance, and a third or two thirds of it is hidden."""
+_ORDINARY = 1e-6
+"""Quadratic coefficient at which a vibration is flagged where the calibration has a smaller one or none [s^2/m]."""
+LEAST = 1e-6
+"""Change of the mean from which a vibration is flagged [m/s^2]."""
+
+
+@inline_exact
+def near_nyquist(first: float, second: float, noise: float) -> float:
+    """Variance of a vibration near the Nyquist frequency [m^2/s^4]; 0 where there is none, or noise alone.
+
+    Of a white vibration all of it counts, of one of six samples a period nothing.
+    """
+    if second <= FAST * first or second <= _ABOVE_NOISE * noise:
+        return 0.0
+    if second >= FULL * first:
+        return WHITE * second
+    return WHITE * (second / first - FAST) / (FULL - FAST) * second
+
+
+@inline_exact
+def see_vibration(
+    p: Instrument, past: Past, a_Y: float, a_Z: float, steady: bool, sampled: bool, row: Row
+) -> None:
+    """Possible change of the mean by a vibration that the interval hides, and whether the row is flagged: ``hidden, shaken``.
+
+    ``a_Y``, ``a_Z``: the force at the end. ``steady``: three intervals of the stretch are there. ``sampled``: the force is a
+    value at a sample, which hides nothing.
+    """
+    a_x, h, row.hidden, row.shaken = row.a_x, row.h, 0.0, 0.0
+    x, y, z = a_x - past.force_x, a_Y - past.force_Y, a_Z - past.force_Z
+    if steady:
+        bend_x, bend_y, bend_z = x - past.step_x, y - past.step_Y, z - past.step_Z
+        past.first_x += _SHARE * (x * x - past.first_x)
+        past.second_x += _SHARE * (bend_x * bend_x - past.second_x)
+        past.first_t += _SHARE * (y * y + z * z - past.first_t)
+        past.second_t += _SHARE * (bend_y * bend_y + bend_z * bend_z - past.second_t)
+    past.force_x, past.force_Y, past.force_Z = a_x, a_Y, a_Z
+    past.step_x, past.step_Y, past.step_Z = x, y, z
+    if h == 0.0 or not (past.second_x > FAST * past.first_x or past.second_t > FAST * past.first_t):
+        return
+    noise = (20.0 * p.white / h + 6.0 * p.walk) / h * p.per_K * p.per_K
+    along = near_nyquist(past.first_x, past.second_x, noise)
+    across = near_nyquist(past.first_t, past.second_t, 0.0)
+    bent = abs(p.k2 + math.copysign(p.k2o, a_x) + 3.0 * p.k3 * a_x)
+    bent_t = max(abs(p.k_YY), abs(p.k_ZZ))
+    if max(bent, _ORDINARY) * along + max(bent_t, _ORDINARY) * across <= LEAST:
+        return
+    row.shaken = 1.0
+    if not sampled:
+        row.hidden = _BEYOND * bent * along + SAMPLED * bent_t * across
+        row.hidden += max(abs(p.k_XY), abs(p.k_XZ)) * math.sqrt(along * across)
+    past.shaken += h
+    past.shaken_square += (along + across) * h
+    past.rectified += row.hidden * h

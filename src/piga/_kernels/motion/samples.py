@@ -29,8 +29,6 @@ from piga._kernels.motion.step import (
     unwrapped,
 )
 
-Three = tuple[float, float, float]
-NONE = (0.0, 0.0, 0.0)
 BLOCK = 256
 """Steps of a block. At its end the pair is brought to unit length: a small step lets it grow by less than ``exp(1/2)``."""
 ROWS, _ROOM = 20, BLOCK + 8
@@ -306,59 +304,25 @@ def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array
 
 
 @inline
-def _mean_rates(t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int) -> Three:
-    """Mean rates ``a, y, z`` [rad/s] of an interval, from its increments of velocity and of the base's angle."""
-    per = 1.0 / (t[j + 1] - t[j])
-    a, y, z = K * dv[j, 0], K * dv[j, 1], K * dv[j, 2]
-    if dtheta.shape[0]:
-        a, y, z = a - dtheta[j, 0], y - dtheta[j, 1], z - dtheta[j, 2]
-    return a * per, tan_beta * y * per, tan_beta * z * per
+def _neighbours_of(t: Array, j: int) -> tuple[int, float, float, float]:
+    """The three intervals from which the slope in interval ``j`` follows: the first one, and what :func:`_slope_in` needs."""
+    n = t.size - 1
+    if n < 3:
+        return 0, (2.0 / (t[2] - t[0]) if n == 2 else 0.0), 0.0, 0.0
+    k = min(max(j - 1, 0), n - 3)
+    h0, h1, h2 = t[k + 1] - t[k], t[k + 2] - t[k + 1], t[k + 3] - t[k + 2]
+    half = 0.5 / (h0 + h1 + h2)
+    share = (h1 + 2.0 * h0) * half
+    if j != k + 1:
+        share = -(h0 + 2.0 * h1) * half if j == k else 1.0 + (h2 + 2.0 * h1) * half
+    return k, 2.0 / (h0 + h1), 2.0 / (h1 + h2), share
 
 
 @inline
-def _slope_inside(before: float, here: float, after: float, h0: float, h1: float, h2: float) -> float:
-    """Slope in an interval ``h1`` [s] of the parabola with the means of the interval and its neighbours."""
-    lever0, lever2 = h1 + 2.0 * h0, h1 + 2.0 * h2
-    per_lever = 2.0 / (lever0 + lever2)
-    return per_lever * (lever2 / (h0 + h1) * (here - before) + lever0 / (h1 + h2) * (after - here))
-
-
-@inline
-def _slope_at_end(here: float, near: float, far: float, h0: float, h1: float, h2: float) -> float:
-    """Slope towards the neighbours in an interval ``h0`` [s] at an end of the record, from the means of the next two."""
-    rise = 2.0 * (near - here) / (h0 + h1)
-    rise_far = 2.0 * (far - near) / (h1 + h2)
-    return rise - (rise_far - rise) * (h0 + 2.0 * h1) / (2.0 * (h0 + h1 + h2))
-
-
-@inline
-def _slopes_of(
-    t: Array, dv: Array, dtheta: Array, K: float, tan_beta: float, j: int, around: tuple[Three, Three, Three]
-) -> Three:
-    """Slopes of the rates in interval ``j`` [rad/s^2]; ``around``: means of the interval before, of it and of the one after."""
-    n, (before, here, after) = dv.shape[0], around
-    h = t[j + 1] - t[j]
-    if n == 1:
-        return NONE
-    if 0 < j < n - 1:
-        h0, h2 = t[j] - t[j - 1], t[j + 2] - t[j + 1]
-        return (
-            _slope_inside(before[0], here[0], after[0], h0, h, h2),
-            _slope_inside(before[1], here[1], after[1], h0, h, h2),
-            _slope_inside(before[2], here[2], after[2], h0, h, h2),
-        )
-    side, near = (1.0, after) if j == 0 else (-1.0, before)
-    i = 1 if j == 0 else j - 1
-    if n == 2:
-        per = side * 2.0 / (t[2] - t[0])
-        return per * (near[0] - here[0]), per * (near[1] - here[1]), per * (near[2] - here[2])
-    k = 2 if j == 0 else j - 2
-    far, h1, h2 = _mean_rates(t, dv, dtheta, K, tan_beta, k), t[i + 1] - t[i], t[k + 1] - t[k]
-    return (
-        side * _slope_at_end(here[0], near[0], far[0], h, h1, h2),
-        side * _slope_at_end(here[1], near[1], far[1], h, h1, h2),
-        side * _slope_at_end(here[2], near[2], far[2], h, h1, h2),
-    )
+def _slope_in(x: Array, k: int, per: float, per_next: float, share: float) -> float:
+    """Slope of the parabola whose means over three intervals from ``k`` on are those of ``x``."""
+    rise = per * (x[k + 1] - x[k])
+    return rise + share * (per_next * (x[k + 2] - x[k + 1]) - rise)
 
 
 @kernel
@@ -371,22 +335,27 @@ def propagate_increments(
     interval is that of the parabola with the means of the interval and its neighbours.
     """
     turns, p, q = state[0], state[1], state[2]
-    n, before = dv.shape[0], NONE
-    room = np.empty((ROWS, _ROOM))
-    s = _steps_in(room)
-    here = _mean_rates(t, dv, dtheta, K, tan_beta, 0)
+    n, turning = dv.shape[0], dtheta.shape[0] > 0
+    room = np.zeros((ROWS, _ROOM))
+    s, r = _steps_in(room), _rates_in(room)
     for first in range(0, n + 1, BLOCK):
         last = min(first + BLOCK, n + 1)
-        count = min(last, n) - first
+        count, around = min(last, n) - first, max(first - 2, 0)
+        for j in range(around, min(first + count + 2, n)):
+            i, per = j - around, 1.0 / (t[j + 1] - t[j])
+            r.a[i] = per * (K * dv[j, 0] - (dtheta[j, 0] if turning else 0.0))
+            r.y[i] = per * tan_beta * (K * dv[j, 1] - (dtheta[j, 1] if turning else 0.0))
+            r.z[i] = per * tan_beta * (K * dv[j, 2] - (dtheta[j, 2] if turning else 0.0))
         for i in range(count):
             j = first + i
-            h = t[j + 1] - t[j]
-            after = _mean_rates(t, dv, dtheta, K, tan_beta, j + 1) if j < n - 1 else NONE
-            (a, y, z), (sa, sy, sz) = here, _slopes_of(t, dv, dtheta, K, tan_beta, j, (before, here, after))
+            k, per, per_next, share = _neighbours_of(t, j)
+            sa = _slope_in(r.a, k - around, per, per_next, share)
+            sy = _slope_in(r.y, k - around, per, per_next, share)
+            sz = _slope_in(r.z, k - around, per, per_next, share)
+            h, a, y, z = t[j + 1] - t[j], r.a[j - around], r.y[j - around], r.z[j - around]
             cross = h * h * h * (1.0 / 12.0)
             s.A[i] = h * a + cross * (y * sz - z * sy)
             s.Y[i], s.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
-            before, here = here, after
         _make_matrices(t[first:], count, s)
         done, turns, p, q = _carry_pair(count, s, turns, p, q)
         if done < count:
@@ -419,83 +388,54 @@ def unimodular_functions(x: float) -> tuple[float, float, float]:
 _TAYLOR = np.array([1.0 / math.factorial(k) for k in range(22)])
 
 
-@inline
-def _sample_rates(f: Array, omega: Array, k: int, K: float, tan_beta: float, r: Array, d: Array) -> None:
-    """Effective rates ``r = (a, y, z)`` at sample ``k`` and their derivatives ``d`` (3, PARAMETERS)."""
-    secant2 = 1.0 + tan_beta * tan_beta
-    for axis in range(3):
-        gain = 1.0 if axis == 0 else tan_beta
-        u = K * f[k, axis] - omega[k, axis]
-        r[axis] = gain * u
-        d[axis, 0] = gain * f[k, axis]
-        d[axis, 1] = 0.0 if axis == 0 else secant2 * u
-        d[axis, 3 + axis] = gain * K
-
-
-@inline
-def _cross_term(i: int, j: int, r0: Array, r1: Array) -> float:
-    """``r0_i r1_j - r0_j r1_i``."""
-    return r0[i] * r1[j] - r0[j] * r1[i]
-
-
-@kernel
-def _step_increments(h: float, r0: Array, r1: Array, d0: Array, d1: Array, step: Array, ds: Array) -> None:
-    """Magnus increments ``step`` (3,) and their derivatives ``ds`` (3, PARAMETERS)."""
-    mean, cross = 0.5 * h, h * h / 12.0
-    for axis in range(3):
-        i, j = (1, 2) if axis == 0 else ((0, 2) if axis == 1 else (0, 1))
-        sign = -cross if axis == 2 else cross
-        step[axis] = mean * (r0[axis] + r1[axis]) + sign * _cross_term(i, j, r0, r1)
-        for n in range(PARAMETERS):
-            change = d0[i, n] * r1[j] - d0[j, n] * r1[i] + r0[i] * d1[j, n] - r0[j] * d1[i, n]
-            ds[axis, n] = mean * (d0[axis, n] + d1[axis, n]) + sign * change
-
-
-@kernel
-def _advance_derivatives(p: float, q: float, step: Array, ds: Array, d_alpha: Array) -> None:
-    """Carry ``d_alpha`` (PARAMETERS,) over one step from the unit pair ``(p, q)``."""
-    A, Y, Z = step[0], step[1], step[2]
-    c, s, slope = unimodular_functions(0.25 * (Y * Y + Z * Z - A * A))
-    mp, mq = 0.5 * (Y * p + (A - Z) * q), -0.5 * ((A + Z) * p + Y * q)
-    p1, q1 = c * p + s * mp, c * q + s * mq
-    square = p1 * p1 + q1 * q1
-    for n in range(PARAMETERS):
-        dA, dY, dZ = ds[0, n], ds[1, n], ds[2, n]
-        dx = 0.5 * (Y * dY + Z * dZ - A * dA)
-        dp = dx * (0.5 * s * p + slope * mp) + 0.5 * s * (dY * p + (dA - dZ) * q)
-        dq = dx * (0.5 * s * q + slope * mq) - 0.5 * s * ((dA + dZ) * p + dY * q)
-        d_alpha[n] = (d_alpha[n] + 2.0 * (dp * q1 - dq * p1)) / square
-
-
 @kernel
 def propagate_sensitivities(
     samples: MotionSamples, state: Array, alpha: Array, rate: Array, d_alpha: Array, d_rate: Array
 ) -> int:
     """Angle, rate (n,) and their derivatives (n, PARAMETERS) at the samples; ``state``: turns, P, Q.
 
-    Of the samples, ``base_rate`` is (n, 3), and what an error model adds is left out.
+    Of the samples, ``base_rate`` is (n, 3), and what an error model adds is left out. Each row of ``d0`` and ``d1`` holds the
+    derivatives of the effective rates ``a, y, z`` at the last sample and at this one.
     """
     t, f, omega, K, tan_beta = samples.t, samples.f, samples.base_rate, samples.K, samples.tan_beta
     turns, p, q = state[0], state[1], state[2]
-    rest = double_arctangent(p, q)
-    r0, r1, step, carried = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(PARAMETERS)
-    d0, d1, ds = np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS)), np.zeros((3, PARAMETERS))
-    carried[2] = 1.0
+    rest, secant2 = double_arctangent(p, q), 1.0 + tan_beta * tan_beta
+    d0, d1, carried = np.zeros((PARAMETERS, 3)), np.zeros((PARAMETERS, 3)), np.zeros(PARAMETERS)
+    d1[3, 0], d1[4, 1], d1[5, 2], carried[2] = K, tan_beta * K, tan_beta * K, 1.0
+    a0 = y0 = z0 = 0.0
     for k in range(t.size):
-        _sample_rates(f, omega, k, K, tan_beta, r1, d1)
+        u_Y, u_Z = K * f[k, 1] - omega[k, 1], K * f[k, 2] - omega[k, 2]
+        a1, y1, z1 = K * f[k, 0] - omega[k, 0], tan_beta * u_Y, tan_beta * u_Z
+        d1[0, 0], d1[0, 1], d1[0, 2] = f[k, 0], tan_beta * f[k, 1], tan_beta * f[k, 2]
+        d1[1, 1], d1[1, 2] = secant2 * u_Y, secant2 * u_Z
         if k:
             h = t[k] - t[k - 1]
-            _step_increments(h, r0, r1, d0, d1, step, ds)
-            if not (h > 0.0 and abs(step[0]) + abs(step[1]) + abs(step[2]) < _NO_OVERFLOW):
+            A, Y, Z = magnus_increments(h, a0, y0, z0, a1, y1, z1)
+            if not (h > 0.0 and abs(A) + abs(Y) + abs(Z) < _NO_OVERFLOW):
                 return k - 1
-            _advance_derivatives(p, q, step, ds, carried)
-            turns, rest, p, q = advance(turns, rest, p, q, step[0], step[1], step[2])
+            c, s, slope = unimodular_functions(0.25 * (Y * Y + Z * Z - A * A))
+            mp, mq = 0.5 * (Y * p + (A - Z) * q), -0.5 * ((A + Z) * p + Y * q)
+            p1, q1 = c * p + s * mp, c * q + s * mq
+            square, mean, cross = p1 * p1 + q1 * q1, 0.5 * h, h * h / 12.0
+            for n in range(PARAMETERS):
+                (da0, dy0, dz0), (da1, dy1, dz1) = (
+                    (d0[n, 0], d0[n, 1], d0[n, 2]),
+                    (d1[n, 0], d1[n, 1], d1[n, 2]),
+                )
+                dA = mean * (da0 + da1) + cross * (dy0 * z1 - dz0 * y1 + y0 * dz1 - z0 * dy1)
+                dY = mean * (dy0 + dy1) + cross * (da0 * z1 - dz0 * a1 + a0 * dz1 - z0 * da1)
+                dZ = mean * (dz0 + dz1) - cross * (da0 * y1 - dy0 * a1 + a0 * dy1 - y0 * da1)
+                dx = 0.5 * (Y * dY + Z * dZ - A * dA)
+                dp = dx * (0.5 * s * p + slope * mp) + 0.5 * s * (dY * p + (dA - dZ) * q)
+                dq = dx * (0.5 * s * q + slope * mq) - 0.5 * s * ((dA + dZ) * p + dY * q)
+                carried[n] = (carried[n] + 2.0 * (dp * q1 - dq * p1)) / square
+            turns, rest, p, q = advance(turns, rest, p, q, A, Y, Z)
         sine, cosine = 2.0 * p * q, q * q - p * p
-        alpha[k] = unwrapped(turns, rest)
-        rate[k] = r1[0] + r1[1] * sine - r1[2] * cosine
-        stiffness = r1[1] * cosine + r1[2] * sine
+        alpha[k], rate[k] = unwrapped(turns, rest), a1 + y1 * sine - z1 * cosine
         for n in range(PARAMETERS):
             d_alpha[k, n] = carried[n]
-            d_rate[k, n] = d1[0, n] + d1[1, n] * sine - d1[2, n] * cosine + stiffness * carried[n]
-        r0[:], d0[:, :] = r1, d1
+            d_rate[k, n] = (
+                d1[n, 0] + d1[n, 1] * sine - d1[n, 2] * cosine + (y1 * cosine + z1 * sine) * carried[n]
+            )
+        a0, y0, z0, d0[:, :] = a1, y1, z1, d1
     return GOOD
