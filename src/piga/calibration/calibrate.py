@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
-from piga.calibration.fit import without_scatter
 from piga.calibration.joint import (
     JointFit,
     check_items,
@@ -133,7 +132,7 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     steps("adding up the budget")
     fit = with_own_sources(fit, steps)
     budget = budget_of(fit.coefficients, fit.covariance, list(contributions(fit, steps)))
-    candidates = Candidates(without_scatter(fit.only.fit)) if fit.only else None
+    candidates = Candidates(fit.without_scatter())
     doubts = left_out_terms(fit, candidates)
     for doubt in (doubt for doubt in doubts if doubt.change.any()):
         budget = budget.with_row(doubt.row(fit.coefficients))

@@ -102,7 +102,7 @@ def find_interval(
         common
     )
     rows = [
-        _parameter_rows(layout, estimate, r, at, local=layout.coupled and members[r.group] == 1)
+        parameter_rows(layout, estimate, r, at, local=layout.coupled and members[r.group] == 1)
         for r in repetitions
     ]
     variances = [r.variance for r in repetitions]
@@ -130,16 +130,16 @@ def find_interval(
     return Interval(covariance, freedom, grown, excess)
 
 
-def _parameter_rows(
+def parameter_rows(
     layout: Layout, estimate: Estimate, repetition: Repetition, at: list[int], *, local: bool
 ) -> Array:
-    """Triangle ``[parameters | rate | residual]`` of a position, linear about the estimate; a ``local`` phase is taken out."""
+    """Triangle ``[parameters | rate | more | residual]`` of a position, linear about the fit; a ``local`` phase is taken out."""
     group, factor = repetition.group, repetition.part.factor
     phase = float(estimate.phases[group]) if estimate.phases.size else 0.0
-    m = factor.shape[1] - 2
+    m = len(estimate.jacobians[group])
     missed = factor[:, -1] - factor[:, :m] @ layout.linear(estimate.amplitudes, phase, group)
     turned = factor[:, :m] @ estimate.jacobians[group]
-    both = np.column_stack([turned[:, at], factor[:, m], missed])
+    both = np.column_stack([turned[:, at], factor[:, m:-1], missed])
     own = turned[:, layout.size + group] if local else np.zeros(len(factor))
     if not own.any():
         return triangle(both)

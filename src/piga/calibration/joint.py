@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit import FittedRecord, fit_run
+from piga.calibration.fit import FittedRecord, fit_run, without_scatter
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import (
@@ -128,13 +128,17 @@ class MergedRuns:
         """Number of the first phase group of a run."""
         return sum(len(summary.parts) for summary in self.summaries[:index])
 
+    def run_of(self, group: int) -> int:
+        """Number of the run of a phase group."""
+        return int(np.searchsorted(np.cumsum([len(s.parts) for s in self.summaries]), group, side="right"))
+
     def wanted(self, index: int) -> Names:
         """Columns of a run in the fit."""
         return self.summaries[index].columns(self.local, self.shared[index])
 
-    def stored(self, index: int) -> Names:
-        """Shared columns of a run as its summary contains them: those of the servo without a phase."""
-        shared = self.shared[index]
+    def stored(self, index: int, beside: Names = ()) -> Names:
+        """Shared columns of a run, and more, as its summary contains them: those of the servo without a phase."""
+        shared = (*self.shared[index], *beside)
         plain = tuple(name for name in shared if name not in SERVO_TERMS)
         return plain + phaseless_columns((*shared, *self.known_servo(index)))
 
@@ -227,8 +231,9 @@ class MergedRuns:
                 (*self.wanted(index), *beside),
                 self.known_servo(index),
             )
-            stored = (*self.stored(index), *beside)
-            held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
+            held = summary.choose(
+                tuple(p.part for p in summary.positions), self.local, self.stored(index, beside)
+            )
             for position, part in zip(summary.positions, held, strict=True):
                 group = first + position.group
                 chosen = part if state is None else at_state(part, wanted, state, group, known)
@@ -308,11 +313,34 @@ class JointFit(MergedRuns):
 
     def moved(self, change: Array) -> Array:
         """Change of the coefficients (n,; file units) by a change of the internal parameters."""
-        at, estimate = self.estimate.amplitudes.size, self.estimate
+        at, estimate, layout = self.estimate.amplitudes.size, self.estimate, self.layout
         amplitudes, phases = estimate.amplitudes + change[:at], estimate.phases + change[at:]
+        if phases.size == 1:  # exact, by the column coefficients
+            linear = layout.linear(estimate.amplitudes, float(estimate.phases[0]), 0)
+            linear = linear + estimate.jacobians[0] @ change
+            phases = np.arctan2(linear[1:2], linear[:1])
+            amplitudes = layout.from_linear(linear, float(phases[0]))
         named, _ = self.named(replace(estimate, amplitudes=amplitudes, phases=phases), estimate.covariance)
         return changes(
             self.coefficients, *(np.array([c.value for c in one]) for one in (self.coefficients, named))
+        )
+
+    def without_scatter(self) -> JointFit:
+        """The fit with the weights of white noise, random walk and stated scatter only; tests of the model use it."""
+        if not any(summary.noise.scatter for summary in self.summaries):
+            return self
+        summaries = tuple(summary.without_scatter() for summary in self.summaries)
+        live = tuple(one and replace(one, fit=without_scatter(one.fit)) for one in self.live)
+        quiet = replace(self, summaries=summaries, live=live)
+        state, examination, estimate = quiet.solved()
+        coefficients, covariance = quiet.named(estimate, estimate.covariance)
+        return replace(
+            quiet,
+            estimate=estimate,
+            coefficients=coefficients,
+            covariance=covariance,
+            examination=examination,
+            servo=state,
         )
 
     def column_values(self, index: int) -> Array:

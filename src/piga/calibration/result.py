@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from piga.calibration.fit import Fit, history_of
+from piga.calibration.fit import Fit, history_of, without_scatter
 from piga.calibration.joint import JointFit, sources_of_stand
 from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
 from piga.calibration.model.solution import variances_of
@@ -39,6 +39,7 @@ from piga.records.calibration import (
     Coefficient,
     Diagnostics,
     Event,
+    MissingTerm,
     Provenance,
     Quality,
     Residuals,
@@ -67,12 +68,9 @@ def make_result(
     covariance: Array,
     budget: BudgetTable,
     doubts: tuple[LeftOut, ...],
-    candidates: Candidates | None,
+    candidates: Candidates,
 ) -> Calibration:
-    """The calibration with its residuals and remarks.
-
-    ``candidates`` are the terms that the only run may lack; None for several runs.
-    """
+    """The calibration with its residuals and remarks; ``candidates`` are the terms that the model may lack."""
     kinds = {summary.kind for summary in fit.summaries}
     kind = kinds.pop() if len(kinds) == 1 else "angle"
     parts = [_residuals_of(fit, i, live, kind) if live else None for i, live in enumerate(fit.live)]
@@ -119,12 +117,14 @@ def make_result(
         outliers=tuple(replace(o, run=s.name or None) for s in fit.summaries for o in s.outliers),
         unit=first.unit,
     )
-    if fit.only and candidates:
+    if fit.only:
         result = _of_one_run(result, fit.only, candidates, doubts)
     else:
-        result = replace(result, remarks=(*result.remarks, *_notes_on_runs(records)))
-        said = ((doubt.largest_shift(coefficients), doubt.words) for doubt in doubts if doubt.words)
-        result = _with_sentences(result, said)
+        missing = suggest_terms(candidates, coefficients)
+        scattered = any(summary.noise.scatter > 0.0 for summary in fit.summaries)
+        diagnostics = replace(result.diagnostics, missing_terms=missing)
+        result = replace(result, remarks=(*result.remarks, *_notes_on_runs(records)), diagnostics=diagnostics)
+        result = _with_sentences(result, _suggested(missing, doubts, coefficients, scattered=scattered))
     return _with_creep(result, fit)
 
 
@@ -265,21 +265,35 @@ def _with_remarks(
     ``candidates`` are those of the fit without slow noise. A signature of the servo is reported by the suggestion of its term or
     by a sentence of its own.
     """
-    plain, slow, coefficients = candidates.fit, fit.noise.scatter > 0.0, result.coefficients
+    plain, slow, coefficients = without_scatter(fit), fit.noise.scatter > 0.0, result.coefficients
     quiet = _known_without_slow(fit, plain, coefficients) if slow else coefficients
     leverage, alone, moved = find_leverage(plain, quiet, slow, {c.name: c.std for c in coefficients})
     scale = scale_over_nominal(result)
     advice = advise(fit.design.run, fit.design.request, scale) if looks_wrong(result) else ()
     missing = () if advice else suggest_terms(candidates, coefficients)
     diagnostics = replace(result.diagnostics, leverage=leverage, advice=advice, missing_terms=missing)
-    also = "; the scatter of the segments may be the same effect" if slow else ""
+    suggested = _suggested(missing, doubts, coefficients, scattered=slow)
+    cause = (*((math.inf, words) for words in advice), *suggested) or moved
+    result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
+    return _with_sentences(result, cause)
+
+
+def _suggested(
+    missing: tuple[MissingTerm, ...],
+    doubts: tuple[LeftOut, ...],
+    coefficients: tuple[Coefficient, ...],
+    *,
+    scattered: bool = False,
+) -> tuple[tuple[float, str], ...]:
+    """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
+    also = "; the scatter of the segments may be the same effect" if scattered else ""
     sources = [doubt.source for doubt in doubts]
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
     said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
     # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
     shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
-    suggested = (
+    return (
         *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)),
         *(
             (doubt.largest_shift(coefficients), doubt.words)
@@ -287,9 +301,6 @@ def _with_remarks(
             if doubt.words and doubt.source not in said
         ),
     )
-    cause = (*((math.inf, words) for words in advice), *suggested) or moved
-    result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
-    return _with_sentences(result, cause)
 
 
 def _with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:

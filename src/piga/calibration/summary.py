@@ -220,6 +220,13 @@ class RunSummary(Result):
             raise CalibrationError(f"{path}: its {damaged} damaged", remedy="summarise the run again")
         return summary
 
+    def without_scatter(self) -> RunSummary:
+        """The summary with the weights of white noise, random walk and stated scatter only."""
+        noise = replace(self.noise, scatter=0.0)
+        variances = noise.rate_variances(len(self.positions)).tolist()
+        positions = zip(self.positions, variances, strict=True)
+        return replace(self, noise=noise, positions=tuple(replace(p, variance=v) for p, v in positions))
+
     @property
     def count(self) -> int:
         """Number of observations."""

@@ -118,6 +118,11 @@ class Positions:
         """True if the positions are blocks of one segment."""
         return self.count > 1 and bool((self.segments == 0).all())
 
+    def cut(self, parts: int) -> Positions:
+        """Each position in this number of parts."""
+        cuts = np.linspace(self.edges[:-1], self.edges[1:], parts, endpoint=False).T.astype(np.int64).ravel()
+        return Positions(np.append(cuts, self.edges[-1]), np.repeat(self.segments, parts))
+
     def times(self, run: Run) -> tuple[Array, Array]:
         """Begin and end of each position [s]."""
         return np.asarray(run.t[self.edges[:-1]]), np.asarray(run.t[self.edges[1:] - 1])

@@ -37,6 +37,26 @@ def test_every_signature_is_recognised(name):
     assert name not in [c.name for c in calibration.coefficients]
 
 
+@pytest.mark.parametrize("name", ["k2", "m_Y", "k_XY", "c2"])
+def test_several_runs_name_a_signature_too(name):
+    runs = [
+        with_term(EVERYWHERE.record(np.random.default_rng(seed)), name, size)
+        for seed, size in ((4, SIZES[name]), (5, SIZES[name]), (6, 0.0), (7, 0.0))
+    ]
+    other = piga.RunSummary.of(runs[1], TERMS)
+    for pair in (runs[:2], [runs[0], other] if name != "c2" else runs[:2]):
+        together = piga.calibrate(pair, TERMS)
+        first = together.diagnostics.missing_terms[0]
+        assert name in first.terms
+        at = first.terms.index(name)
+        miss = abs(first.estimate[at] - SIZES[name]) / first.standard_uncertainty[at]
+        assert miss < 5.0
+        assert first.standard_uncertainty[at] < 0.1 * abs(SIZES[name])
+        assert any("missing term" in words and name in words for words in (*together.notes, *together.remarks))
+    sound = piga.calibrate(runs[2:], TERMS)
+    assert sound.diagnostics.missing_terms == ()
+
+
 def test_a_term_that_moves_nothing_by_more_than_u_is_no_doubt():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     wide = replace(run, uncertainty=UncertaintyTable(reference_scale="0.1 %", reference_bias="1 mg"))

@@ -29,7 +29,6 @@ from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.remarks.missing_terms import (
     CUBIC,
     Candidates,
-    after_change,
     constant_squares,
     tested,
     with_term,
@@ -94,15 +93,15 @@ class LeftOut:
         return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
-def left_out_terms(fit: JointFit, candidates: Candidates | None) -> tuple[LeftOut, ...]:
+def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stand separates them.
 
-    ``candidates`` are those of the only run, without scatter; None for several runs.
+    ``candidates`` are those of the fit without scatter.
     """
-    if candidates is None:
+    only, coefficients = candidates.fit.only, fit.coefficients
+    if only is None:
         return _left_out_of_runs(fit)
-    plain, coefficients = candidates.fit, fit.coefficients
-    design = plain.design
+    plain, design = only.fit, only.fit.design
     held = (*design.request.terms, *design.turning_servo)
     if design.request.phase_source != "output" or design.run.direct:
         return ()
@@ -118,12 +117,12 @@ def left_out_terms(fit: JointFit, candidates: Candidates | None) -> tuple[LeftOu
     if not cube and not damping:
         return asked
     order, (pieces, rows) = candidates.order, candidates.pieces
-    before = after_change(plain, np.zeros(1))
+    before = {c.key: c.value for c in candidates.fit.coefficients}
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
         if test is not None and test.probability <= _CLEAR:
-            after = after_change(plain, test.change)
+            after = candidates.after(test.change)
             k3 = float(test.columns[0]) / design.scale_factor
             cube_with = {"servo": after["scale_factor"] * (1.0 + k3 * square), "k3": after["scale_factor"]}
             doubts.append(_cubic_doubt(coefficients, before, after, cube_with, k3 / si_factor("k3")))
@@ -134,7 +133,7 @@ def left_out_terms(fit: JointFit, candidates: Candidates | None) -> tuple[LeftOu
         beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
         whole = _with_terms(plain, beside)
         if whole is not None:
-            after = after_change(plain, test.change)
+            after = candidates.after(test.change)
             turned = {name: whole[name] for name in TURNED}
             unit = design.scale_factor * si_factor("servo_damping")
             size = (float(test.columns[0]) / unit, float(test.std[0]) / unit)
@@ -149,8 +148,10 @@ def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tup
 
     Without both it is listed with its effect, and has no size.
     """
-    plain, unit, coefficients = candidates.fit, si_factor("servo"), fit.coefficients
-    run = plain.design.run
+    unit, coefficients = si_factor("servo"), fit.coefficients
+    if fit.only is None:
+        return ()
+    design, run = fit.only.fit.design, fit.only.run
     if "servo" in run.uncertainty.waived:
         return ()
     weighted, total = 0.0, 1e-300
@@ -162,16 +163,16 @@ def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tup
         return ()
     pieces, rows = candidates.pieces
     names = ("servo",) if "servo" in candidates.order else ("k3",)
-    if names == ("k3",) and square is None and fit.only:
+    if names == ("k3",) and square is None:
         listed = unstated_servo(fit.record(0, fit.only), [c.key for c in coefficients])
         return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),)
     test = tested(pieces, candidates.order, names, rows)
     if test is None:
         moved = [c.value * share if c.name == "scale_factor" else 0.0 for c in coefficients]
         return (_unnamed_servo(np.array(moved), _SOFTEST, math.inf),)
-    before, after = (after_change(plain, change) for change in (np.zeros(1), test.change))
+    before, after = {c.key: c.value for c in candidates.fit.coefficients}, candidates.after(test.change)
     size, std, spread = (
-        float(values[0]) / plain.design.scale_factor / unit for values in (test.columns, test.std, test.spread)
+        float(values[0]) / design.scale_factor / unit for values in (test.columns, test.std, test.spread)
     )
     if names == ("k3",) and square is not None:
         after["scale_factor"] *= 1.0 + size * unit * square

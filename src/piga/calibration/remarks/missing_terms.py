@@ -15,15 +15,17 @@ from functools import cached_property
 
 import numpy as np
 
-from piga.calibration.fit import Fit
+from piga.calibration.fit import repetitions
+from piga.calibration.intervals import parameter_rows
+from piga.calibration.joint import JointFit
 from piga.calibration.model.design import Design, ServoState
-from piga.calibration.model.reduction import solve_upper
-from piga.calibration.model.solution import layout_of, name_coefficients, parameter_rows
+from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.sources import across_squared
-from piga.calibration.weights import RATE, Extra, reduce_between
+from piga.calibration.summary import RunSummary
+from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, harmonic, si_factor, unit_of
+from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
@@ -61,30 +63,48 @@ _PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: their term and columns."""
 
 
-def _candidate_terms(design: Design) -> list[tuple[str, ...]]:
-    """Columns of every candidate that is missing in the model and that the record can determine.
+def _candidate_terms(fit: JointFit) -> list[tuple[str, ...]]:
+    """Columns of every candidate that is missing in the model and that the runs can determine.
 
     A gyro accelerometer has no known cause of ``k1a``: ask for it by name. Candidates that turn with the output are skipped
-    unless the zero of its angle is known in all segments.
+    unless the zero of its angle is known in all segments. Of several runs, the terms of the servo are tested by
+    :mod:`piga.calibration.remarks.left_out`.
     """
-    terms, run = design.request.terms, design.run
+    terms, direct = fit.wish.terms, fit.summaries[0].unit != GYRO
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
-    left_out |= {name for name in LOGGED_TERMS if not run.shows(name)}
-    left_out |= _servo_out_of_reach(design) | (set() if run.direct else {"k1a"})
+    left_out |= {
+        name for name in LOGGED_TERMS if not all(_shows(fit, index, name) for index in range(len(fit.live)))
+    }
+    left_out |= _servo_out_of_reach(fit) | (set() if direct else {"k1a"})
     candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
-    if run.direct:
+    if direct:
         return candidates
-    if design.request.phases == "shared" or "tan_beta" in terms:
+    one_phase = len(fit.live) == 1 and fit.summaries[0].phases == "shared"
+    if one_phase or "tan_beta" in terms:
         candidates += [columns for name, columns in _PAIRS if name not in terms]
-    return candidates
+    held = [
+        summary.positions[0].part.names
+        for summary, live in zip(fit.summaries, fit.live, strict=True)
+        if not live
+    ]
+    return [names for names in candidates if all(set(names) <= set(own) for own in held)]
 
 
-def _servo_out_of_reach(design: Design) -> set[str]:
+def _shows(fit: JointFit, index: int, term: str) -> bool:
+    """True unless the term needs a column that a run does not have, or that is the same everywhere."""
+    live, summary = fit.live[index], fit.summaries[index]
+    return live.run.shows(term) if live else term in summary.positions[0].part.names
+
+
+def _servo_out_of_reach(fit: JointFit) -> set[str]:
     """Terms that a record cannot separate from the servo terms of the model, and servo terms that it cannot determine."""
-    total, across = constant_squares(design.run)
-    terms = design.request.terms
+    terms = fit.wish.terms
+    if fit.only is None:
+        return {*SERVO_TERMS, "k3"}
+    total, across = constant_squares(fit.only.run)
     scaled = "scale_factor" in terms or "k1" in terms
-    names = set(design.turning_servo) if "tan_beta" in terms else set(SERVO_TERMS)
+    names = {*terms, *dict(fit.summaries[0].known_servo)} & set(SERVO_TERMS)
+    names = names if "tan_beta" in terms else set(SERVO_TERMS)
     if scaled and total is not None:
         names |= {"k3"} if "servo" in terms else set()
         names |= {"servo"} if "k3" in terms else set()
@@ -130,23 +150,70 @@ class Candidates:
     Slow noise would absorb the signature of a missing term. The columns are computed when they are first used.
     """
 
-    fit: Fit
+    fit: JointFit
 
     @cached_property
     def order(self) -> list[str]:
         """Names of the columns: candidates for a suggestion, and signatures of the servo."""
-        design = self.fit.design
-        names = [name for names in _candidate_terms(design) for name in names]
-        if "k3" not in (*names, *design.names):
+        names, only = [name for names in _candidate_terms(self.fit) for name in names], self.fit.only
+        if only and "k3" not in (*names, *self.fit.wish.terms):
             names.append("k3")
-        if "p" in design.names and "servo_damping" not in (*names, *design.turning_servo):
+        if only and "p" in self.fit.local and "servo_damping" not in (*names, *only.fit.design.turning_servo):
             names.append("servo_damping")
         return names
 
     @cached_property
+    def common(self) -> list[int]:
+        """Parameters of the pieces: all, but for the phases that belong to one segment each."""
+        fit, size = self.fit, self.fit.layout.size
+        phases = [g for g in range(fit.estimate.phases.size) if len(fit.summaries[fit.run_of(g)].labels) == 1]
+        return [*range(size), *(size + g for g in phases)]
+
+    @cached_property
     def pieces(self) -> tuple[list[Array], int]:
-        """Factors of the parts of the record, and the number of rows."""
-        return pieces_of(self.fit, self.order)
+        """Factors ``[parameters | candidates | residual]`` of the parts of the records, and the number of rows."""
+        fit, estimate, layout = self.fit, self.fit.estimate, self.fit.layout
+        summaries = [_wide(fit, index, self.order) for index in range(len(fit.live))]
+        state = fit.servo
+        if state is None and layout.coupled:
+            state = ServoState(tuple(estimate.phases.tolist()), stiffness=0.0, damping=0.0, inverse=0.0)
+        parts = replace(fit, summaries=tuple(summaries)).repetitions(state, (RATE, *self.order))
+        at, pieces = self.common, []
+        for part in parts:
+            local = layout.coupled and layout.size + part.group not in at
+            rows = parameter_rows(layout, estimate, part, at, local=local)
+            names = (*map(str, at), RATE, *self.order)
+            piece = Reduction(names, rows).without((RATE,), part.variance).factor
+            phase = float(estimate.phases[part.group]) if estimate.phases.size else 0.0
+            piece[:, len(at) : -1] = piece[:, len(at) : -1] @ _turn(phase, self.order)
+            pieces.append(piece)
+        return pieces, sum(summary.count for summary in summaries)
+
+    def after(self, change: Array) -> dict[str, float]:
+        """Coefficients (file units) by key after a change of the ``common`` parameters, and of any others."""
+        fit = self.fit
+        whole = np.zeros(fit.layout.size + fit.estimate.phases.size)
+        whole[self.common] = change[: len(self.common)]
+        moved = fit.moved(whole).tolist()
+        return {c.key: c.value + shift for c, shift in zip(fit.coefficients, moved, strict=True)}
+
+
+def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
+    """The summary of a run with the columns of the candidates, of parts of the segments if there are few."""
+    live, summary = fit.live[index], fit.summaries[index]
+    if live is None:
+        return summary
+    run, segments = live.run, sum(len({p.name for p in one.positions}) for one in fit.summaries)
+    design = fit.design_of(index, live)[0].with_servo(None)
+    positions = Positions.of(run)
+    if not positions.continuous and segments < len(fit.layout.columns) + len(extra[:2]) + _SPARE:
+        positions = positions.cut(math.ceil(_PIECES / segments))
+    more = _columns_beside(design, extra)
+    reduced = reduce_positions(design, live.fit.mode, live.fit.noise, positions, more)
+    variances = live.fit.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)
+    parts = repetitions(design, replace(live.fit.noise, stated=(), counted=()), reduced, positions)
+    held = zip(parts, variances[positions.segments].tolist(), strict=True)
+    return replace(summary, positions=tuple(replace(part, variance=own) for part, own in held))
 
 
 def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
@@ -160,14 +227,15 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
         The result, with combined standard uncertainties.
     """
     fit = candidates.fit
-    left = _candidate_terms(fit.design)
-    if fit.design.request.phase_source != "output" or not left:
+    left = _candidate_terms(fit)
+    if any(live and live.request.phase_source != "output" for live in fit.live) or not left:
         return ()
     order = candidates.order
     pieces, rows = candidates.pieces
     suggestions: list[MissingTerm] = []
+    scale_factor = fit.summaries[0].inner_scale_factor
     limit = _FALSE_ALARMS / len(left)
-    square = None if fit.design.run.direct else constant_squares(fit.design.run)[0]
+    square = constant_squares(fit.only.run)[0] if fit.only and not fit.only.run.direct else None
     for _ in range(_SUGGESTIONS):
         tests = [
             t
@@ -175,7 +243,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
             if (t := tested(pieces, order, names, rows))
             and t.probability < (_THERMAL_ALARMS if names == ("k0_T",) else limit)
         ]
-        shifts = [_largest_shift(fit, coefficients, t) for t in tests]
+        shifts = [_largest_shift(candidates, coefficients, t) for t in tests]
         worth = [
             (test, shift)
             for test, shift in zip(tests, shifts, strict=True)
@@ -189,10 +257,9 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
             best, shift = (warm or [(best, shift)])[0]
         best, shift = _servo_first(best, shift, worth, square)
         alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > _ALIKE * best.fall]
-        entry = _suggestion(best, shift, alike, fit.design.scale_factor)
+        entry = _suggestion(best, shift, alike, scale_factor)
         if square is not None and best.names[0] in ("servo", "k3"):
-            after = after_change(fit, best.change)
-            under = _both_meanings(best, after, square, fit.design.scale_factor)
+            under = _both_meanings(best, candidates.after(best.change), square, scale_factor)
             entry = replace(entry, scale_factor_under=under)
         suggestions.append(entry)
         pieces = [with_term(piece, order, best.names) for piece in pieces]
@@ -231,45 +298,20 @@ def terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def pieces_of(fit: Fit, extra: list[str]) -> tuple[list[Array], int]:
-    """Factors ``[parameters | extra | residual]`` of the parts of the record, and the number of rows."""
-    design, layout = fit.design, layout_of(fit.design)
-    edges, segments, m = design.run.segment_edges(), len(design.run.labels), len(design.names)
-    parts = 1
-    if segments < len(layout.columns) + len(extra[:2]) + _SPARE:
-        parts = math.ceil(_PIECES / segments)
-    cuts = np.linspace(edges[:-1], edges[1:], parts, endpoint=False).T.astype(np.int64).ravel()
-    reduced, _ = reduce_between(
-        design, fit.mode, fit.noise, np.append(cuts, edges[-1]), _columns_of(fit, extra)
-    )
-    variances, pieces = replace(fit.noise, scatter=0.0).rate_variances(segments), []
-    for number, part in enumerate(reduced):
-        segment = number // parts
-        rows = part.without((RATE,), float(variances[segment])).factor
-        rows[:, -1] -= rows[:, :m] @ fit.solution.values[segment]
-        rows[:, m:-1] = rows[:, m:-1] @ _turn(fit, segment, extra)
-        pieces.append(parameter_rows(design, fit.solution, segment, rows))
-    return pieces, sum(part.count for part in reduced)
-
-
-def _columns_of(fit: Fit, extra: Sequence[str]) -> Extra:
-    """The columns ``extra`` for the record of a fit, those of the servo at its phase."""
-    design = fit.design
+def _columns_beside(design: Design, extra: Sequence[str]) -> Extra:
+    """The columns ``extra`` beside those of a design; those of the servo without a phase."""
     terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
-    request, state = replace(design.request, terms=terms), None
-    if "p" in design.local_names:
-        phases = tuple(float(fit.solution.phases[group]) for group in design.groups)
-        state = ServoState(phases, stiffness=0.0, damping=0.0, inverse=0.0)
-    names = Design(design.run, request, design.scale_factor, state).names
-    order = [names.index(name) for name in extra]
-    others = design.means.beside(request, state)
-    return Extra(tuple(extra), lambda _: next(others).columns[order])
+    request = replace(design.request, terms=terms)
+    names = Design(design.run, request, design.scale_factor).names
+    new = [name for name in names if name not in design.names]
+    order = [names.index(name) for name in new]
+    others = design.means.beside(request, None)
+    return Extra(tuple(new), lambda _: next(others).columns[order])
 
 
-def _turn(fit: Fit, segment: int, extra: list[str]) -> Array:
+def _turn(phase: float, extra: Sequence[str]) -> Array:
     """Matrix that turns columns of harmonics of the angle as read to those of the angle with the phase of the fit."""
-    matrix, phases = np.eye(len(extra)), fit.solution.phases
-    phase = float(phases[fit.design.groups[segment]]) if phases.size else 0.0
+    matrix = np.eye(len(extra))
     for name in extra:
         wave = harmonic(name)
         if wave and wave[0] == "s":
@@ -337,29 +379,14 @@ def _scatter(parts: list[Array], scale: Array, model: Array, R: Array, size: Arr
     return float(fdtrc(q, freedom, ratio)), spread, freedom
 
 
-def after_change(fit: Fit, change: Array) -> dict[str, float]:
-    """Coefficients (file units) by key after a change of the parameters: column coefficients, or amplitudes with several phases."""
-    layout = layout_of(fit.design, max(len(fit.solution.phases), 1))
-    if fit.design.has_phases:
-        moved = replace(fit.solution, amplitudes=fit.solution.amplitudes + change[: layout.size])
-    else:
-        linear = fit.solution.values[0] + change[: len(layout.columns)]
-        phase = math.atan2(linear[1], linear[0]) if layout.coupled else 0.0
-        moved = replace(
-            fit.solution,
-            amplitudes=layout.from_linear(linear, phase),
-            phases=np.array([phase]) if layout.coupled else fit.solution.phases,
-        )
-    named, _ = name_coefficients(fit.design, moved, fit.solution.covariance)
-    return {c.key: c.value for c in named}
-
-
-def _largest_shift(fit: Fit, coefficients: tuple[Coefficient, ...], test: CandidateTest) -> tuple[float, str]:
+def _largest_shift(
+    candidates: Candidates, coefficients: tuple[Coefficient, ...], test: CandidateTest
+) -> tuple[float, str]:
     """Largest change of a reported coefficient in its standard uncertainties, and its name.
 
     The phase is included if the candidate affects it by nature.
     """
-    after = after_change(fit, test.change)
+    after = candidates.after(test.change)
     left_out = () if test.names == ("servo_damping",) else ("phi",)
     shifts = [
         (abs(_difference(c, after[c.key])) / c.std, c.name)
