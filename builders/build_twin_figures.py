@@ -20,6 +20,7 @@ from benchmarks.measured import ROOT, rounded
 from scipy.integrate import solve_ivp
 from tests.compensation.twin_triad import run as run_triad
 from tests.compensation.twin_triad import spectrum
+from tests.stand.simulated import predicted_angle_error
 
 from piga._kernels.motion import servo
 from piga.calibration.calibrate import calibrate
@@ -41,7 +42,7 @@ from piga.reports.render.axes import write_figure
 from piga.reports.render.figure import Axis, Figure, Panel, Series
 from piga.reports.stand import bode_figure, pole_figure, servo_figure, step_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
-from piga.stand.write_run import coefficients, predicted_angle_error, run_file_text, write_data
+from piga.stand.write_run import coefficients, run_file_text, write_data
 from piga.units import ARCSEC, G0
 
 OUT = ROOT / "docs" / "figures"

@@ -1,7 +1,10 @@
 """An instrument, a stand and a scenario that the tests of simulated runs share."""
 
+import numpy as np
+
 from piga.instrument import Instrument
 from piga.instrument.twin.electronics import Electronics
+from piga.instrument.twin.linear import predicted_rate_error
 from piga.stand import (
     DividingHead,
     read_run,
@@ -53,3 +56,17 @@ def saved(scenario, test, folder):
     write_data(test, folder / "run.parquet")
     (folder / "run.toml").write_text(run_file_text(scenario, test, "run.parquet"), encoding="utf-8")
     return read_run(folder / "run.toml")
+
+
+def predicted_angle_error(test):
+    """Predicted output angle of the twin minus that of the quasi-steady model [rad], at the rows of the log.
+
+    It is the integral of :func:`piga.instrument.twin.linear.predicted_rate_error` along the test; zero for the
+    quasi-steady model. The errors of a calibration of the log are the projection of this angle on its regressors.
+    """
+    if test.model != "twin":
+        return np.zeros(test.log.t.size)
+    profile = test.profile
+    error = predicted_rate_error(test.specimen.design, profile.t, test.alpha, profile.force, profile.base_rate)
+    steps = 0.5 * (error[1:] + error[:-1]) * np.diff(profile.t)
+    return np.interp(test.log.t, profile.t, np.concatenate([[0.0], np.cumsum(steps)]))

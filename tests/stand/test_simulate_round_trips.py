@@ -24,8 +24,7 @@ from piga.stand import (
     simulate_test,
 )
 from piga.stand.simulate import straightened
-from piga.stand.write_run import predicted_angle_error
-from tests.stand.simulated import INST, SCENARIO, SITE, saved, truth_of
+from tests.stand.simulated import INST, SCENARIO, SITE, predicted_angle_error, saved, truth_of
 
 pytestmark = pytest.mark.interpreted
 

@@ -161,19 +161,6 @@ def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[
     return [_even(angle[a:b], t[a:b], step) for a, b in pairwise(edges)], step
 
 
-def model_deviation(tau: Array, white: float, walk: float) -> tuple[Array, Array]:
-    r"""Allan deviation of white angle noise and of an angle random walk [rad/s].
-
-    :math:`\sqrt{3 r}/\tau` and :math:`\sqrt{q/\tau}` ([Riley2008], in angle and rate).
-    """
-    return np.sqrt(3.0 * white) / tau, np.sqrt(walk / tau)
-
-
-def drift_line(tau: Array, level: float) -> Array:
-    r"""Allan deviation :math:`\kappa \sqrt{\tau/3}` of a random walk of the rate, level in rad/s/sqrt(s)."""
-    return level * np.sqrt(tau / 3.0)
-
-
 @lru_cache(maxsize=1024)
 def equivalent_degrees(
     samples: int, m: int, noise: tuple[tuple[int, float], ...], kind: Kind = "allan"

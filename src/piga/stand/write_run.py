@@ -17,14 +17,13 @@ import numpy as np
 from piga._version import __version__
 from piga.instrument.twin.linear import (
     predicted_k2,
-    predicted_rate_error,
     predicted_rectification,
     predicted_second_harmonic,
     servo_terms,
 )
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.records.text_files import toml_text
-from piga.results import Array, label_column, number_column
+from piga.results import label_column, number_column
 from piga.stand.profile import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
@@ -115,20 +114,6 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
             TrueValue(key, v / parse_unit(unit).factor, unit, note=note) for key, v, note in parts if v or note
         ]
     return tuple(rows)
-
-
-def predicted_angle_error(test: SimulatedTest) -> Array:
-    """Predicted output angle of the twin minus that of the quasi-steady model [rad], at the rows of the log.
-
-    It is the integral of :func:`piga.instrument.twin.linear.predicted_rate_error` along the test; zero for the
-    quasi-steady model. The errors of a calibration of the log are the projection of this angle on its regressors.
-    """
-    if test.model != "twin":
-        return np.zeros(test.log.t.size)
-    profile = test.profile
-    error = predicted_rate_error(test.specimen.design, profile.t, test.alpha, profile.force, profile.base_rate)
-    steps = 0.5 * (error[1:] + error[:-1]) * np.diff(profile.t)
-    return np.interp(test.log.t, profile.t, np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:

@@ -18,7 +18,7 @@ from piga.calibration.orders import (
     segment_slices,
 )
 from piga.calibration.residuals import add_lagged_products
-from piga.noise.deviations import allan_deviation, drift_line, model_deviation
+from piga.noise.deviations import allan_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import GYRO, shown_output, shown_unit
@@ -232,9 +232,9 @@ def _allan_figure(
     if deviation.tau.size < 2:
         return None
     tau, measured = deviation.tau, deviation.deviation / per
-    angle, wander = (part / per for part in model_deviation(tau, white, walk))
+    angle, wander = np.sqrt(3.0 * white) / tau / per, np.sqrt(walk / tau) / per
     both = np.hypot(angle, wander)
-    drift = drift_line(tau, both[-1] / math.sqrt(tau[-1] / 3.0))
+    drift = both[-1] / math.sqrt(tau[-1] / 3.0) * np.sqrt(tau / 3.0)
     near = tau >= 0.1 * tau[-1]
     limits = (
         0.3 * min(float(measured.min()), float(both.min())),
