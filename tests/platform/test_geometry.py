@@ -14,6 +14,7 @@ from piga.frames import matrix_to_rotation_vector
 from piga.platform.geometry import (
     geodetic_to_earth,
     gimbal_attitude,
+    gimbals_of,
     gravitation,
     gravitation_gradient,
     misalignment,
@@ -22,7 +23,7 @@ from piga.platform.geometry import (
     small_angles,
     turns_to_gimbals,
 )
-from piga.platform.observation import Tip, gimbals_of
+from piga.platform.observation import Tip
 from piga.platform.scenario import Gyro, Harmonic
 from tests.platform.conftest import ARCMIN, DEG
 

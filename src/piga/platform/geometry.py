@@ -173,6 +173,30 @@ def gimbal_attitude(gimbals: ArrayLike) -> Array:
     return axis_turn(2, g[..., 2]) @ axis_turn(1, g[..., 1]) @ axis_turn(2, g[..., 0])
 
 
+def gimbals_of(body_to_platform: Array) -> Array:
+    """Gimbal angles (n, 3) outer, middle, inner [rad] of ``C_b^P`` (n, 3, 3)."""
+    c = body_to_platform
+    middle = np.arctan2(np.hypot(c[:, 2, 0], c[:, 2, 1]), c[:, 2, 2])
+    outer, inner = np.arctan2(c[:, 2, 1], c[:, 2, 0]), np.arctan2(c[:, 1, 2], -c[:, 0, 2])
+    return np.stack([outer, middle, inner], axis=1)
+
+
+def earth_to_inertial(times: Array) -> Array:
+    """``C_e^i`` (n, 3, 3) at ``times`` [s]."""
+    return axis_turn(2, -earth.EARTH_RATE * times)
+
+
+def turns_between(attitude: Array) -> Array:
+    """Turn (n, 3) [rad] of a frame from one attitude (n + 1, 3, 3) to the next, in its own axes; first order."""
+    turn = np.einsum("nij,nkj->nik", attitude[1:], attitude[:-1])
+    return 0.5 * np.stack([turn[:, j - 2, j - 1] - turn[:, j - 1, j - 2] for j in range(3)], axis=1)
+
+
+def step_means(values: Array) -> Array:
+    """Means over steps (n, ...) by Simpson's rule, from values at the nodes and between them (2n + 1, ...)."""
+    return (values[:-2:2] + 4.0 * values[1::2] + values[2::2]) / 6.0
+
+
 def turns_to_gimbals(gimbals: ArrayLike, turn: Array) -> Array:
     """Changes of the gimbal angles (n, 3, p) [rad] that turn P by ``turn`` (n, 3, p) [rad] about its own axes.
 

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import toeplitz
 
-from piga import earth
 from piga.errors import ArgumentError
-from piga.frames import axis_turn, rotation_vector_to_matrix
+from piga.frames import rotation_vector_to_matrix
 from piga.platform import geometry
 from piga.platform.scenario import Gyro, Harmonic, Place
 from piga.platform.simulate import Readouts
@@ -118,7 +117,7 @@ class Unknowns(Result):
         """``C_e^P`` (n, 3, 3) from ``C_G^P``, with the turn of the triad by drift."""
         return (
             attitude @ rotation_vector_to_matrix(-times[:, None] * self.drift) @ self.triad
-        ) @ _earth_to_inertial(times)
+        ) @ geometry.earth_to_inertial(times)
 
     def regressors(self, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
         """Derivatives of the small angles ``e`` (n, 3, p) and of the pick-off (n, p) by tips, eta0 and eta_rate."""
@@ -144,19 +143,6 @@ def names(orders: int) -> tuple[str, ...]:
     gyros = [f"{gyro}.{name}" for gyro in ("polar", "equatorial") for name in ("u", "v", *tip)]
     axes = [f"{what}.{axis}" for what in ("triad", "drift") for axis in "xyz"]
     return (*gyros, "eta0", "eta_rate", *axes, "base.1", "base.2", "base.3")
-
-
-def _earth_to_inertial(times: Array) -> Array:
-    """``C_e^i`` (n, 3, 3) at ``times`` [s]."""
-    return axis_turn(2, -earth.EARTH_RATE * times)
-
-
-def gimbals_of(body_to_platform: Array) -> Array:
-    """Gimbal angles (n, 3) outer, middle, inner [rad] of ``C_b^P`` (n, 3, 3)."""
-    c = body_to_platform
-    middle = np.arctan2(np.hypot(c[:, 2, 0], c[:, 2, 1]), c[:, 2, 2])
-    outer, inner = np.arctan2(c[:, 2, 1], c[:, 2, 0]), np.arctan2(c[:, 1, 2], -c[:, 0, 2])
-    return np.stack([outer, middle, inner], axis=1)
 
 
 def _triad_of(first: Array, second: Array) -> Array:
@@ -244,14 +230,12 @@ class _Stretch:
         solution = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ undone))
         slow = BSpline(self.knots, solution, 3)(np.linspace(0.0, 1.0, len(half[0])))
         felt = np.einsum("nij,nj->ni", attitude, slow)
-        predicted = _simpson(felt[::2], felt[1::2])
+        predicted = geometry.step_means(felt)
         points = [v[1::2][self.points] for v in half]
         e, _ = x.regressors(*points)
         columns = np.cross(slow[1::2][self.points][:, :, None], e, axis=1)
         if r.turn_sensitivity > 0.0:  # the turn of the platform over each step, in its own axes
-            turn = np.einsum("nij,nkj->nik", attitude[2::2], attitude[:-2:2])
-            turns = 0.5 * np.stack([turn[:, j - 2, j - 1] - turn[:, j - 1, j - 2] for j in range(3)], axis=1)
-            predicted -= turns * (r.turn_sensitivity / r.step)
+            predicted -= geometry.turns_between(attitude[::2]) * (r.turn_sensitivity / r.step)
             columns -= np.gradient(e, points[0], axis=0) * r.turn_sensitivity
         columns[1:-1] += np.diff(columns, 2, axis=0) / (24.0 * self.every**2)  # their mean over the step
         residual = _weighted(force - predicted, self.window, self.stride)
@@ -271,11 +255,6 @@ def _weighted(values: Array, weights: Array, stride: int) -> Array:
 def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
     """Times and encoder angles of a record."""
     return r.times, r.encoder1, r.encoder2
-
-
-def _simpson(ends: Array, middles: Array) -> Array:
-    """Means over steps, from values at their ends and in their middle."""
-    return (ends[:-1] + 4.0 * middles + ends[1:]) / 6.0
 
 
 @dataclass(frozen=True)
@@ -391,7 +370,7 @@ class ObservedRecord:
         """
         r, few = self.readouts, max(1, len(self.readouts.increments) // 20)
         t = 0.5 * (r.times[1:] + r.times[:-1])
-        turned = _earth_to_inertial(t) @ self.force_at_rest
+        turned = geometry.earth_to_inertial(t) @ self.force_at_rest
         shown, felt = (
             _triad_of(values[:few].mean(axis=0), values[-few:].mean(axis=0))
             for values in (r.increments, turned)
@@ -424,7 +403,7 @@ class ObservedRecord:
             to_platform = x.from_earth(attitude, r.times)
             pole, by_drift = (attitude @ x.triad[:, 2])[:, :, None], attitude * r.times[:, None, None]
             turn = np.concatenate([e, attitude, by_drift, -to_platform[:, :, :2], -pole], axis=2)
-            residual = geometry.wrapped(r.gimbals - gimbals_of(to_platform @ x.base))
+            residual = geometry.wrapped(r.gimbals - geometry.gimbals_of(to_platform @ x.base))
             columns = geometry.turns_to_gimbals(r.gimbals, turn)
             made.append(Reduced.of("gimbals", residual.ravel(), self._cut(columns)))
         if "pick-off" in self.sources:
@@ -451,7 +430,7 @@ class ObservedRecord:
         e, _ = x.regressors(*(v[1::2] for v in half))
         by_drift = attitude[1::2] * half[0][1::2, None, None]
         turn = np.concatenate([e, attitude[1::2], by_drift, np.zeros_like(by_drift)], axis=2)
-        residual = r.increments / r.step - _simpson(felt[::2], felt[1::2])
+        residual = r.increments / r.step - geometry.step_means(felt)
         return Reduced.of("force", residual.ravel(), self._cut(np.cross(felt[1::2, :, None], turn, axis=1)))
 
     def _cut(self, columns: Array) -> Array:

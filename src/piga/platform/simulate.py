@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.motion import Base, Gyros, TrueRows, simulate_platform, solve_triad
+from piga._kernels.platform.motion import drift_series, solve_triad
 from piga.errors import ArgumentError, DataError
-from piga.frames import rotation_vector_to_matrix
+from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
@@ -31,6 +31,8 @@ _TRACK_COLUMNS = (
     "time_s", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "heading_deg",
 )  # fmt: skip
 """Columns of the file of a track."""
+_BLOCK = 4096
+"""Steps simulated at once. Their matrices then stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +48,20 @@ class BaseMotion(Result):
     attitude: Array
     place: Array
     velocity: Array
+
+    def part(self, nodes: slice) -> BaseMotion:
+        """The motion from one node to another."""
+        halves = slice(2 * nodes.start, 2 * nodes.stop - 1)
+        rows = {"force": halves, "attitude": nodes, "place": nodes, "velocity": nodes}
+        whole = {name: getattr(self, name) for name in rows}
+        return BaseMotion(**{name: v[rows[name]] if len(v) > 1 else v for name, v in whole.items()})
+
+    @property
+    def to_earth(self) -> Array:
+        """``C_b^e`` (n + 1, 3, 3) or (1, 3, 3)."""
+        roll, pitch, heading = self.attitude.T
+        to_body = axis_turn(0, roll) @ axis_turn(1, pitch) @ axis_turn(2, heading)
+        return geometry.local_axes(*self.place[:, :2].T) @ np.swapaxes(to_body, 1, 2)
 
     @property
     def at_rest(self) -> bool:
@@ -311,29 +327,23 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
     """
     motion = base_motion(scenario) if motion is None else motion
     s, sensors, n, h = scenario, scenario.sensors, scenario.steps, scenario.step
-    increments, force = np.empty((n, 3)), np.empty((n + 1, 3))
-    gimbals, ring, eta = np.empty((n + 1, 3)), np.empty(n + 1), np.empty(n + 1)
-    spin = np.empty((n if sensors.pigas else 0, 3))
-    start = rotation_vector_to_matrix(np.array(s.triad)).T
-    triad = start.copy()
-    gyros = Gyros(
-        geometry.over_case_angle(s.polar),
-        s.polar.phase,
-        geometry.over_case_angle(s.equatorial),
-        s.equatorial.phase,
-        np.array([*s.polar.drift, *s.equatorial.drift, *s.polar.case_drift, *s.equatorial.case_drift]),
-        np.array(
-            [
-                float(v)
-                for turning in (s.polar_rotation, s.equatorial_rotation)
-                for v in (turning.rate, turning.turns)
-            ]
-        ),
-    )
-    base = Base(motion.force, motion.attitude, np.ascontiguousarray(motion.place[:, :2]), earth.EARTH_RATE)
-    rows = TrueRows(increments, force, gimbals, ring, eta, spin)
-    simulate_platform(gyros, base, 0.0, h, triad, s.redundancy, rows)
-    times = h * np.arange(n + 1, dtype=np.float64)
+    times, start = h * np.arange(n + 1, dtype=np.float64), rotation_vector_to_matrix(np.array(s.triad)).T
+    increments, force, spin = np.empty((n, 3)), np.empty((n + 1, 3)), np.empty((n if sensors.pigas else 0, 3))
+    gimbals, ring, eta = np.empty((n + 1, 3)), np.empty(n + 1), np.full(n + 1, s.redundancy)
+    end = start
+    for first in range(0, n, _BLOCK):
+        part, nodes = slice(first, first + _BLOCK), slice(first, first + _BLOCK + 1)
+        half = 0.5 * h * np.arange(2 * first, 2 * min(first + _BLOCK, n) + 1, dtype=np.float64)
+        triad, angle = _drifted(s, half, end, eta[first])
+        attitude, rings = geometry.nulled_attitude(s.polar, s.equatorial, *_case_angles(s, half), angle)
+        attitude, turned = attitude @ triad, geometry.earth_to_inertial(half)
+        base = motion.part(nodes)
+        felt = np.squeeze(attitude @ (turned @ base.force[:, :, None]), axis=2)
+        increments[part], force[nodes] = h * geometry.step_means(felt), felt[::2]
+        gimbals[nodes] = geometry.gimbals_of(attitude[::2] @ turned[::2] @ base.to_earth)
+        ring[nodes], eta[nodes], end = rings[::2], angle[::2], triad[-1].copy()
+        if sensors.pigas:
+            spin[part] = geometry.turns_between(attitude[::2])
     if sensors.pigas is not None:
         increments = read_increments(sensors.pigas, times, gimbal_angles(sensors.pigas, times, force, spin))
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(s.seed).spawn(4)]
@@ -351,7 +361,23 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
         altitude=_noisy(motion.place[:, 2], sensors.altitude_noise, 0.0, streams[3], len(times)),
         turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
-    return PlatformRun(s, readouts, Truth(motion, force, eta, start, triad))
+    return PlatformRun(s, readouts, Truth(motion, force, eta, start, end))
+
+
+def _case_angles(s: PlatformScenario, times: Array) -> tuple[Array, Array]:
+    """Case angles [rad] of the polar and the equatorial gyro, phases included."""
+    first = geometry.encoder_angle(s.polar_rotation, times) + s.polar.phase
+    return first, geometry.encoder_angle(s.equatorial_rotation, times) + s.equatorial.phase
+
+
+def _drifted(s: PlatformScenario, half: Array, triad: Array, eta: float) -> tuple[Array, Array]:
+    """``C_i^G`` (n, 3, 3) and the redundancy angle (n,) [rad] at ``half`` steps, from those at the first of them."""
+    triads, etas = np.empty((len(half), 3, 3)), np.empty(len(half))
+    triads[0], etas[0] = triad, eta
+    first, second = (np.stack([np.sin(c), np.cos(c)], axis=1) for c in _case_angles(s, half))
+    rates = np.array([*s.polar.drift, *s.equatorial.drift, *s.polar.case_drift, *s.equatorial.case_drift])
+    drift_series(first, second, rates, 0.5 * s.step, triads, etas)
+    return triads, etas
 
 
 def _noisy(

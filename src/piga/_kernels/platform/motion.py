@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from piga._kernels.jit import Array, inline, kernel
 from piga._kernels.motion.step import step_functions
 
@@ -58,60 +56,6 @@ def _nulled_platform(
     return ring
 
 
-@inline
-def multiply(a: Array, b: Array, out: Array) -> None:
-    """``out = a @ b`` for 3 by 3 matrices, without allocation."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@inline
-def _turn_about_pole(c: float, s: float, m: Array, out: Array) -> None:
-    """``out = C_e^i @ m``: Earth axes turned by the angle with cosine ``c`` and sine ``s`` about z."""
-    for j in range(3):
-        out[0, j] = c * m[0, j] - s * m[1, j]
-        out[1, j] = s * m[0, j] + c * m[1, j]
-        out[2, j] = m[2, j]
-
-
-@inline
-def _body_to_earth(
-    roll: float, pitch: float, heading: float, latitude: float, longitude: float, work: Array, out: Array
-) -> None:
-    """``C_b^e`` from attitude and place [rad]; ``work`` (3, 3) is overwritten with ``C_b^n``."""
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    ch, sh = math.cos(heading), math.sin(heading)
-    work[0, 0], work[0, 1], work[0, 2] = cp * ch, sr * sp * ch - cr * sh, cr * sp * ch + sr * sh
-    work[1, 0], work[1, 1], work[1, 2] = cp * sh, sr * sp * sh + cr * ch, cr * sp * sh - sr * ch
-    work[2, 0], work[2, 1], work[2, 2] = -sp, sr * cp, cr * cp
-    cl, sl, co, so = math.cos(latitude), math.sin(latitude), math.cos(longitude), math.sin(longitude)
-    for j in range(3):
-        north, east, down = work[0, j], work[1, j], work[2, j]
-        out[0, j] = -sl * co * north - so * east - cl * co * down
-        out[1, j] = -sl * so * north + co * east - cl * so * down
-        out[2, j] = cl * north - sl * down
-
-
-@inline
-def gimbal_angles(c_bp: Array, out: Array) -> None:
-    """Gimbal angles (outer psi, middle theta, inner sigma) [rad] of ``C_b^P = R3(sigma) R2(theta) R3(psi)``."""
-    out[0] = math.atan2(c_bp[2, 1], c_bp[2, 0])
-    out[1] = math.atan2(math.hypot(c_bp[2, 0], c_bp[2, 1]), c_bp[2, 2])
-    out[2] = math.atan2(c_bp[1, 2], -c_bp[0, 2])
-
-
-@inline
-def _case_angle(t: float, rate: float, turns: float) -> float:
-    """Case angle from its start [rad]: ``rate t``, or back and forth when ``turns`` > 0 (reversal)."""
-    angle = rate * t
-    if turns <= 0:
-        return angle
-    span = 2.0 * math.pi * turns
-    within = angle - 2.0 * span * math.floor(angle / (2.0 * span))
-    return within if within <= span else 2.0 * span - within
-
-
 @kernel
 def exact_geometry_series(
     first: Misalignment, c1: Array, second: Misalignment, c2: Array, eta: Array, attitude: Array, ring: Array
@@ -145,51 +89,6 @@ def follow(
         out[i] = value
 
 
-_Phasors = tuple[float, float, float, float]
-
-
-class Gyros(NamedTuple):
-    """Polar and equatorial gyro: misalignments, their phases [rad], drift and case rotation.
-
-    ``rates`` (8,) see :func:`drift_triad`; ``case`` (4,) rate 1, turns before reversal 1, rate 2, turns 2.
-    """
-
-    first: Misalignment
-    phase1: float
-    second: Misalignment
-    phase2: float
-    rates: Array
-    case: Array
-
-
-class Base(NamedTuple):
-    """Base of the platform.
-
-    ``f_e`` specific force in Earth axes at every half step (2n + 1, 3) or (1, 3); ``attitude`` roll, pitch, heading
-    and ``place`` latitude, longitude at the nodes (n + 1, k) or (1, k).
-    """
-
-    f_e: Array
-    attitude: Array
-    place: Array
-    earth_rate: float
-
-
-class TrueRows(NamedTuple):
-    """Output arrays.
-
-    ``dv`` (n, 3) by Simpson's rule, ``force`` (n + 1, 3) at the nodes, ``gimbals`` (n + 1, 3), ``ring`` and ``eta``
-    (n + 1,), ``spin`` (n, 3) or (0, 3): turn of the platform over the step in P axes.
-    """
-
-    dv: Array
-    force: Array
-    gimbals: Array
-    ring: Array
-    eta: Array
-    spin: Array
-
-
 @inline
 def drift_triad(
     c_ig: Array, rates: Array, eta: float, s1: float, c1: float, s2: float, c2: float, h: float
@@ -216,97 +115,17 @@ def drift_triad(
     return eta + (w2y - wy) * h
 
 
-@inline
-def _platform_at(at: _Phasors, gyros: Gyros, eta: float, c_ig: Array, c_gp: Array, c_ip: Array) -> float:
-    """Exact ``C_i^P`` at one instant, from sine and cosine of both case angles; returns the ring angle."""
-    s1, k1, s2, k2 = at
-    m1, m2 = _misalignment_at(gyros.first, k1, s1), _misalignment_at(gyros.second, k2, s2)
-    ring = _nulled_platform(m1, s1, k1, m2, s2, k2, eta, c_gp)
-    multiply(c_gp, c_ig, c_ip)
-    return ring
-
-
-@inline
-def _case_phasors(t: float, gyros: Gyros) -> tuple[float, float, float, float]:
-    """Sine and cosine of the polar, then of the equatorial case angle, phases included."""
-    first = _case_angle(t, gyros.case[0], gyros.case[1]) + gyros.phase1
-    second = _case_angle(t, gyros.case[2], gyros.case[3]) + gyros.phase2
-    return math.sin(first), math.cos(first), math.sin(second), math.cos(second)
-
-
-@inline
-def _force_in_platform(
-    t: float, earth_rate: float, c_ip: Array, f_e: Array, row: int
-) -> tuple[float, float, float]:
-    """Specific force in P axes from its Earth-axes components."""
-    c, s = math.cos(earth_rate * t), math.sin(earth_rate * t)
-    fx, fy, fz = c * f_e[row, 0] - s * f_e[row, 1], s * f_e[row, 0] + c * f_e[row, 1], f_e[row, 2]
-    return (
-        c_ip[0, 0] * fx + c_ip[0, 1] * fy + c_ip[0, 2] * fz,
-        c_ip[1, 0] * fx + c_ip[1, 1] * fy + c_ip[1, 2] * fz,
-        c_ip[2, 0] * fx + c_ip[2, 1] * fy + c_ip[2, 2] * fz,
-    )
-
-
 @kernel
-def simulate_platform(
-    gyros: Gyros, base: Base, start: float, h: float, c_ig: Array, eta: float, rows: TrueRows
-) -> float:
-    """True readouts over ``n`` steps of ``h``; node k at ``start + k h``. Returns the last eta.
+def drift_series(first: Array, second: Array, rates: Array, h: float, triad: Array, eta: Array) -> None:
+    """Drift of the triad over equal steps ``h``: ``C_i^G`` (n, 3, 3) and the redundancy angle (n,), from their first rows.
 
-    ``c_ig`` (3, 3) is advanced.
+    ``first, second`` (n, 2) sine and cosine of the case angles; ``rates`` (8,) see :func:`drift_triad`.
     """
-    f_e, attitude, place, earth_rate, rates = base.f_e, base.attitude, base.place, base.earth_rate, gyros.rates
-    dv, force, spin = rows.dv, rows.force, rows.spin
-    work = np.zeros((6, 3, 3))
-    n = dv.shape[0]
-    force_stride = 1 if f_e.shape[0] > 1 else 0
-    moving = attitude.shape[0] > 1
-    want_spin = spin.shape[0] > 0
-    c_gp, c_ip, c_be, c_bi, c_bp, before = work[0], work[1], work[2], work[3], work[4], work[5]
-    _body_to_earth(attitude[0, 0], attitude[0, 1], attitude[0, 2], place[0, 0], place[0, 1], c_bi, c_be)
-    gx = gy = gz = mx = my = mz = 0.0
-    s1, k1, s2, k2 = _case_phasors(start, gyros)
-    for i in range(n + 1):
-        t = start + i * h
-        ring_angle = _platform_at((s1, k1, s2, k2), gyros, eta, c_ig, c_gp, c_ip)
-        fx, fy, fz = _force_in_platform(t, earth_rate, c_ip, f_e, 2 * i * force_stride)
-        if i > 0:
-            dv[i - 1, 0] = h / 6.0 * (gx + 4.0 * mx + fx)
-            dv[i - 1, 1] = h / 6.0 * (gy + 4.0 * my + fy)
-            dv[i - 1, 2] = h / 6.0 * (gz + 4.0 * mz + fz)
-            if want_spin:
-                for j in range(3):
-                    a, b = (j + 1) % 3, (j + 2) % 3
-                    spin[i - 1, j] = 0.5 * (
-                        c_ip[a, 0] * before[b, 0] + c_ip[a, 1] * before[b, 1] + c_ip[a, 2] * before[b, 2]
-                        - c_ip[b, 0] * before[a, 0] - c_ip[b, 1] * before[a, 1] - c_ip[b, 2] * before[a, 2]
-                    )  # fmt: skip
-        if moving:
-            k = i if place.shape[0] > 1 else 0
-            _body_to_earth(attitude[i, 0], attitude[i, 1], attitude[i, 2], place[k, 0], place[k, 1], c_bi, c_be)
-        _turn_about_pole(math.cos(earth_rate * t), math.sin(earth_rate * t), c_be, c_bi)
-        multiply(c_ip, c_bi, c_bp)
-        gimbal_angles(c_bp, rows.gimbals[i])
-        force[i, 0], force[i, 1], force[i, 2] = fx, fy, fz
-        rows.ring[i], rows.eta[i] = ring_angle, eta
-        if i == n:
-            break
-        if want_spin:
-            before[:, :] = c_ip
-        gx, gy, gz = fx, fy, fz
-        middle = t + 0.5 * h
-        p1, q1, p2, q2 = _case_phasors(middle, gyros)
-        eta = drift_triad(
-            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
-        )
-        _platform_at((p1, q1, p2, q2), gyros, eta, c_ig, c_gp, c_ip)
-        mx, my, mz = _force_in_platform(middle, earth_rate, c_ip, f_e, (2 * i + 1) * force_stride)
-        s1, k1, s2, k2 = _case_phasors(t + h, gyros)
-        eta = drift_triad(
-            c_ig, rates, eta, 0.5 * (s1 + p1), 0.5 * (k1 + q1), 0.5 * (s2 + p2), 0.5 * (k2 + q2), 0.5 * h
-        )
-    return eta
+    for i in range(1, eta.shape[0]):
+        triad[i] = triad[i - 1]
+        s1, c1 = 0.5 * (first[i - 1, 0] + first[i, 0]), 0.5 * (first[i - 1, 1] + first[i, 1])
+        s2, c2 = 0.5 * (second[i - 1, 0] + second[i, 0]), 0.5 * (second[i - 1, 1] + second[i, 1])
+        eta[i] = drift_triad(triad[i], rates, eta[i - 1], s1, c1, s2, c2, h)
 
 
 @inline
