@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga import earth
-from piga._kernels.platform.motion import Misalignment, exact_geometry_series
+from piga._kernels.platform.motion import nulled_series
 from piga.frames import axis_turn, skew
 from piga.platform.scenario import Gyro, Rotation
 from piga.results import Array
@@ -100,25 +100,19 @@ def gravity(latitude: float, height: float = 0.0) -> float:
     return float(np.linalg.norm(specific_force_at_rest(geodetic_to_earth(latitude, 0.0, height))))
 
 
-def encoder_harmonics(gyro: Gyro, orders: int, *, phase: float | None = None) -> tuple[Array, Array]:
+def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
     """Cosine and sine coefficients [rad] of the misalignment, order 1 to ``orders``, over the *encoder* angle.
 
-    This is the case angle less ``phase`` (None: that of the gyro). With ``c = theta + phase``:
+    This is the case angle ``c`` less the phase of the gyro. With ``c = theta + phase``:
     ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``, ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
     """
     cosines, sines = np.zeros(orders), np.zeros(orders)
     for h in gyro.harmonics:
         if h.order <= orders:
-            angle = h.order * (gyro.phase if phase is None else phase) + h.phase
+            angle = h.order * gyro.phase + h.phase
             cosines[h.order - 1] += h.amplitude * np.cos(angle)
             sines[h.order - 1] -= h.amplitude * np.sin(angle)
     return cosines, sines
-
-
-def over_case_angle(gyro: Gyro) -> Misalignment:
-    """The misalignment of a gyro, in the form for the kernels."""
-    orders = max((h.order for h in gyro.harmonics), default=0)
-    return Misalignment(gyro.misalignment, *encoder_harmonics(gyro, orders, phase=0.0))
 
 
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:
@@ -139,7 +133,7 @@ def nulled_attitude(
     """
     a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
     attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
-    exact_geometry_series(over_case_angle(polar), a, over_case_angle(equatorial), b, e, attitude, ring)
+    nulled_series(misalignment(polar, a), a, misalignment(equatorial, b), b, e, attitude, ring)
     return attitude, ring
 
 

@@ -3,68 +3,42 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from piga._kernels.jit import Array, inline, kernel
 from piga._kernels.motion.step import step_functions
 
 
-class Misalignment(NamedTuple):
-    """Misalignment of one gyro over its case angle: ``m(c) = m + sum_k A_k cos(k c) + B_k sin(k c)`` [rad]."""
-
-    constant: float
-    cosines: Array
-    sines: Array
-
-
-@inline
-def _misalignment_at(m: Misalignment, c: float, s: float) -> float:
-    """Misalignment [rad] from cosine and sine of the case angle."""
-    total = m.constant
-    ck, sk = 1.0, 0.0
-    for k in range(m.cosines.shape[0]):
-        ck, sk = ck * c - sk * s, sk * c + ck * s
-        total += m.cosines[k] * ck + m.sines[k] * sk
-    return total
-
-
-@inline
-def _nulled_platform(
-    m1: float, s1: float, c1: float, m2: float, s2: float, c2: float, eta: float, out: Array
-) -> float:
-    """Exact attitude ``C_G^P`` (into ``out`` (3, 3)) and redundancy-ring angle Y [rad], both pick-offs nulled.
-
-    Polar tip in P: ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)``; equatorial tip in the ring:
-    ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)``; ``s1, c1, s2, c2`` are sines and cosines of the case angles.
-    Y solves ``n1 . R_y(Y) n2 = -sin(eta)``; the attitude is then the triad of the two momenta. Own derivation,
-    docs/theory/platform.md section 2.
-    """
-    sin_m1, cos_m1, sin_m2, cos_m2 = math.sin(m1), math.cos(m1), math.sin(m2), math.cos(m2)
-    n1x, n1y, n1z = -sin_m1 * s1, sin_m1 * c1, cos_m1
-    n2x, n2y, n2z = cos_m2, -sin_m2 * s2, sin_m2 * c2
-    along = n1x * n2x + n1z * n2z
-    across = n1z * n2x - n1x * n2z
-    ring = math.atan2(along, across) + math.asin((math.sin(eta) + n1y * n2y) / math.hypot(along, across))
-    cy, sy = math.cos(ring), math.sin(ring)
-    h2x, h2y, h2z = n2x * cy + n2z * sy, n2y, n2z * cy - n2x * sy
-    yx, yy, yz = n1y * h2z - n1z * h2y, n1z * h2x - n1x * h2z, n1x * h2y - n1y * h2x
-    scale = 1.0 / math.sqrt(yx * yx + yy * yy + yz * yz)
-    yx, yy, yz = yx * scale, yy * scale, yz * scale
-    out[0, 0], out[1, 0], out[2, 0] = yy * n1z - yz * n1y, yz * n1x - yx * n1z, yx * n1y - yy * n1x
-    out[0, 1], out[1, 1], out[2, 1] = yx, yy, yz
-    out[0, 2], out[1, 2], out[2, 2] = n1x, n1y, n1z
-    return ring
-
-
 @kernel
-def exact_geometry_series(
-    first: Misalignment, c1: Array, second: Misalignment, c2: Array, eta: Array, attitude: Array, ring: Array
-) -> None:
-    """Exact ``C_G^P`` (n, 3, 3) and ring angle (n,) for case angles ``c1, c2`` (n,) and ``eta`` (n,)."""
-    for i in range(c1.shape[0]):
-        s1, k1, s2, k2 = math.sin(c1[i]), math.cos(c1[i]), math.sin(c2[i]), math.cos(c2[i])
-        p, q = _misalignment_at(first, k1, s1), _misalignment_at(second, k2, s2)
-        ring[i] = _nulled_platform(p, s1, k1, q, s2, k2, eta[i], attitude[i])
+def nulled_series(m1: Array, c1: Array, m2: Array, c2: Array, eta: Array, attitude: Array, ring: Array) -> None:
+    """Exact ``C_G^P`` (n, 3, 3) and redundancy-ring angle Y (n,) [rad], both pick-offs nulled.
+
+    ``m1, m2`` misalignments, ``c1, c2`` case angles, ``eta`` redundancy angle [rad], (n,) each. Polar tip in P:
+    ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)``; equatorial tip in the ring:
+    ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)``. Y solves ``n1 . R_y(Y) n2 = -sin(eta)``; the attitude is then the
+    triad of the two momenta. Own derivation, docs/theory/platform.md section 2.
+    """
+    for i in range(ring.shape[0]):
+        sin_m1, cos_m1, sin_m2, cos_m2 = math.sin(m1[i]), math.cos(m1[i]), math.sin(m2[i]), math.cos(m2[i])
+        n1x, n1y, n1z = -sin_m1 * math.sin(c1[i]), sin_m1 * math.cos(c1[i]), cos_m1
+        n2x, n2y, n2z = cos_m2, -sin_m2 * math.sin(c2[i]), sin_m2 * math.cos(c2[i])
+        along = n1x * n2x + n1z * n2z
+        across = n1z * n2x - n1x * n2z
+        angle = math.atan2(along, across) + math.asin(
+            (math.sin(eta[i]) + n1y * n2y) / math.hypot(along, across)
+        )
+        cy, sy = math.cos(angle), math.sin(angle)
+        h2x, h2y, h2z = n2x * cy + n2z * sy, n2y, n2z * cy - n2x * sy
+        yx, yy, yz = n1y * h2z - n1z * h2y, n1z * h2x - n1x * h2z, n1x * h2y - n1y * h2x
+        scale = 1.0 / math.sqrt(yx * yx + yy * yy + yz * yz)
+        yx, yy, yz = yx * scale, yy * scale, yz * scale
+        attitude[i, 0, 0], attitude[i, 1, 0], attitude[i, 2, 0] = (
+            yy * n1z - yz * n1y,
+            yz * n1x - yx * n1z,
+            yx * n1y - yy * n1x,
+        )
+        attitude[i, 0, 1], attitude[i, 1, 1], attitude[i, 2, 1] = yx, yy, yz
+        attitude[i, 0, 2], attitude[i, 1, 2], attitude[i, 2, 2] = n1x, n1y, n1z
+        ring[i] = angle
 
 
 @kernel
