@@ -23,18 +23,10 @@ from piga.records.arrays import empty
 from piga.records.calibration import Calibration
 from piga.results import Array, Result
 
-
-@dataclass(frozen=True)
-class _SetSettings:
-    """Settings of sets of instruments (own choices)."""
-
-    orthogonal: float = 1e-6
-    """Largest deviation from a rotation that an axes matrix may have."""
-    fault_probability: float = 1e-6
-    """Probability of the flag ``fault`` in a row of a sound set."""
-
-
-SET = _SetSettings()
+_ORTHOGONAL = 1e-6
+"""Largest deviation from a rotation that an axes matrix may have (own choice)."""
+_FAULT_PROBABILITY = 1e-6
+"""Probability of the flag ``fault`` in a row of a sound set (own choice)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +64,7 @@ def rotation(axes: ArrayLike, index: int) -> Array:
         raise ArgumentError(
             f"axes of instrument {index}: shape {matrix.shape}", remedy="rows X0, Y0, Z0 of 3 numbers each"
         )
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > SET.orthogonal or np.linalg.det(matrix) < 0.0:
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(matrix) < 0.0:
         raise ArgumentError(
             f"axes of instrument {index}: the rows are not a right-handed set of orthogonal unit vectors",
             remedy="give X0, Y0, Z0 of the instrument in the common frame, to six digits or more",
@@ -81,29 +73,13 @@ def rotation(axes: ArrayLike, index: int) -> Array:
     return np.asarray(left @ right)
 
 
-def _check_count(count: int) -> None:
-    """Refuse fewer than three instruments.
-
-    Raises
-    ------
-    ArgumentError
-        In this case.
-    """
-    if count < 3:
-        raise ArgumentError(
-            f"a set of {count} instruments cannot give three components", remedy="use three or more instruments"
-        )
-
-
 def _check_spread(axes: Array) -> None:
-    """Refuse fewer than three instruments or coplanar input axes; ``axes`` has shape (N, 3, 3).
-
-    Raises
-    ------
-    ArgumentError
-        In both cases.
-    """
-    _check_count(axes.shape[0])
+    """Refuse fewer than three instruments or coplanar input axes; ``axes`` has shape (N, 3, 3)."""
+    if len(axes) < 3:
+        raise ArgumentError(
+            f"a set of {len(axes)} instruments cannot give three components",
+            remedy="use three or more instruments",
+        )
     smallest = np.linalg.svd(axes[:, 0, :], compute_uv=False)[-1]
     if smallest < 0.05:
         raise ArgumentError(
@@ -264,12 +240,12 @@ class SetCompensator:
 
 
 def _fault_threshold(freedom: int) -> float:
-    """Weighted sum of squares that a sound set exceeds with probability ``SET.fault_probability``."""
+    """Weighted sum of squares that a sound set exceeds with probability ``_FAULT_PROBABILITY``."""
     if freedom < 1:
         return math.inf
     from scipy.special import chdtri
 
-    return float(chdtri(freedom, SET.fault_probability))
+    return float(chdtri(freedom, _FAULT_PROBABILITY))
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
