@@ -53,6 +53,15 @@ def test_gaps_are_null_and_json_is_strict():
     assert spec["data"][0]["y"] == [1.0, None, None, 4.0]
 
 
+@pytest.mark.parametrize(("largest", "ticks"), [(40.0, "D2"), (1e5, 1)])
+def test_a_short_logarithmic_axis_has_more_labels_than_its_decades(largest, ticks):
+    panel = Panel(
+        Axis("time", "s", log=True), Axis("u", "1"), (Series(np.array([1.0, largest]), np.arange(2)),)
+    )
+    layout = figure_spec(Figure("log", "Log.", (panel,)))["layout"]
+    assert (layout["xaxis"]["dtick"], "dtick" in layout["yaxis"]) == (ticks, False)
+
+
 def test_text_for_plotly_holds_no_markup_of_the_data():
     names = [trace["name"] for trace in figure_spec(every_mark())["data"]]
     assert "error &lt;b&gt;" in names

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import html
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piga.reports.render.figure import GRID, INK, LIGHT, SOFT, Axis, Figure, Panel, Series, bar_width
 
@@ -16,6 +17,8 @@ _GAP_X, _GAP_Y = 0.2, 0.16
 _BELOW, _ABOVE = 46, 34
 """Pixels that a row needs for its x axis below the panel and for a title above it."""
 _DIGITS = 6
+_MANY = 300.0
+"""Ratio of the largest to the smallest value above which a logarithmic axis has whole decades only."""
 _DAY = 86.4e6
 """Milliseconds of a day: plotly.js counts dates in them since 1970-01-01."""
 
@@ -145,7 +148,14 @@ def _hover(series: Series, panel: Panel) -> str:
     return "<br>".join([*lines, value(panel.y, "y")]) + "<extra></extra>"
 
 
-def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
+def _log_ticks(series: Sequence[NDArray[np.float64]]) -> str | int:
+    """Ticks of a logarithmic axis: 1, 2, 5 in each decade (``D2``), or whole decades if there are many."""
+    values = np.concatenate([np.empty(0), *series])
+    values = values[values > 0.0]
+    return "D2" if values.size and values.max() < _MANY * values.min() else 1
+
+
+def _axis(axis: Axis, series: Sequence[NDArray[np.float64]], *, title: bool) -> dict[str, Any]:
     spec: dict[str, Any] = {
         "title": {"text": _text(axis.label) if title else "", "standoff": 6, "font": {"size": 12}},
         "tickfont": {"size": 11},
@@ -161,9 +171,9 @@ def _axis(axis: Axis, *, title: bool) -> dict[str, Any]:
         "minexponent": 5,
     }
     if axis.log:
-        spec |= {"type": "log", "dtick": 1}
+        spec |= {"type": "log", "dtick": _log_ticks(series)}
     if axis.dates:
-        spec |= {"type": "date", "nticks": 7, "tickformat": "%Y-%m-%d"}
+        spec |= {"type": "date", "nticks": 7}
     if axis.names:
         spec |= {
             "tickvals": list(range(1, len(axis.names) + 1)),
@@ -198,7 +208,9 @@ def _layout(figure: Figure) -> dict[str, Any]:
     for index, panel in enumerate(figure.panels):
         suffix = _suffix(index)
         inside = figure.shares_x and suffix != last
-        x, y = _axis(panel.x, title=not inside), _axis(panel.y, title=True)
+        drawn = [series.arrays() for series in panel.series]
+        x = _axis(panel.x, [x for x, _ in drawn], title=not inside)
+        y = _axis(panel.y, [y for _, y in drawn], title=True)
         x, y = x | {"anchor": f"y{suffix}"}, y | {"anchor": f"x{suffix}"}
         if inside:
             x |= {"matches": f"x{last}", "showticklabels": False}
