@@ -227,7 +227,10 @@ def read_static_log(
     if column is None:
         others = [name for name in described.numbers if name not in timed]
         if len(others) != 1:
-            raise no_column(path, "", names, remedy="name the column of the output: --column")
+            may = ", ".join(others[:20]) or "no column of numbers is left"
+            raise DataError(
+                f"{path}: the column of the output is not known; it may be: {may}", remedy="name it: --column"
+            )
         column = others[0]
     if column not in names:
         raise no_column(path, column, names, remedy="correct --column")
