@@ -1,4 +1,4 @@
-"""Optimal design: criteria for information matrices, the best mixture, and whole visits derived from it.
+"""Optimal design: criteria for information matrices, the least value of a mixture, and whole visits.
 
 With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
 homogeneous convex functions of ``M``: D ``log det(L C L')/r``;
@@ -6,7 +6,7 @@ power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1
 large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
 equivalence theorem reads: a mixture is optimal if and only if no candidate has
 ``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
-equals the number r of parameters. An exchange search turns a mixture into whole visits, with dwells in steps.
+equals the number r of parameters. An exchange search finds whole visits, with dwells in steps.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ Index = NDArray[np.int64]
 
 _GAP = 1e-6
 """Excess of the largest directional derivative over its value at the optimum that ends the search."""
-_ROUNDS = 60
-"""Most rounds of the search."""
+_ROUNDS = 2000
+"""Most steps towards the best mixture."""
+_SLOWEST = 0.1
+"""Least power of the derivative in a step towards the best mixture."""
 _MIXED = 1e-6
 """Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
 _RIDGE = 1e-13
@@ -96,84 +98,25 @@ def _covariance(information: Array) -> Array:
     return np.asarray(np.linalg.inv(information + _RIDGE * np.eye(information.shape[-1])), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """The best mixture: ``weights`` (n,) that sum to 1, ``information`` (m, m), criterion ``value``.
+def least_value(candidates: Array, criterion: Criterion) -> tuple[float, float]:
+    """Lower bound of the criterion over all mixtures of information matrices (n, m, m), and the largest ``tr(S A_j)`` at the best.
 
-    ``derivatives`` (n,) are ``tr(S A_j)``, at most ``1 + gap``: the certificate of the optimum. The criterion
-    is at most the gap above it.
-    """
-
-    weights: Array
-    information: Array
-    value: float
-    derivatives: Array
-
-
-def best_mixture(candidates: Array, criterion: Criterion) -> Mixture:
-    """Optimal weights for candidate information matrices (n, m, m) per unit of cost, scaled parameters.
-
-    The convex problem is solved on a few candidates (sequential quadratic programming, SciPy). The candidates with
-    the largest directional derivative are added, and the problem is solved again. The certificate covers all candidates.
-
-    Raises
-    ------
-    CalibrationError
-        If the certificate is not reached.
+    The criterion of any mixture lies above that of the best one by at most the logarithm of its largest derivative. Each step
+    multiplies the share of a candidate by a power of its derivative.
     """
     matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
-    active = np.unique(np.argmax(np.einsum("njj->nj", matrices), axis=0))
-    derivatives = _derivatives(matrices, criterion, matrices.mean(axis=0))
-    active = np.union1d(active, np.argsort(-derivatives)[:30])
-    weights = np.full(active.size, 1.0 / active.size)
+    shares = np.full(matrices.shape[0], 1.0 / matrices.shape[0])
+    bound, largest = -np.inf, np.inf
     for _ in range(_ROUNDS):
-        weights = _solve(matrices[active], criterion, weights)
-        total = np.tensordot(weights, matrices[active], 1)
-        derivatives = _derivatives(matrices, criterion, total)
-        if derivatives.max() - 1.0 < _GAP:
+        total = np.tensordot(shares, matrices, 1)
+        derivatives = np.einsum("ij,nji->n", criterion.sensitivity(total), matrices)
+        largest = min(largest, float(derivatives.max()))
+        bound = max(bound, float(criterion.values(total) - np.log(derivatives.max())))
+        if largest - 1.0 < _GAP:
             break
-        keep = weights > 1e-12
-        new = np.setdiff1d(np.argsort(-derivatives)[:10], active[keep])
-        share = 1e-3 if new.size else 0.0
-        active = np.concatenate([active[keep], new])
-        weights = np.concatenate([(1.0 - share) * weights[keep], np.full(new.size, share / max(new.size, 1))])
-        weights /= weights.sum()
-    if derivatives.max() - 1.0 > 1e3 * _GAP:
-        raise CalibrationError(
-            f"the search for the best times did not converge (directional derivative {derivatives.max() - 1.0:.2g} too large)",
-            remedy="use fewer candidates, or criterion 'D'",
-        )
-    full = np.zeros(matrices.shape[0])
-    full[active] = weights
-    return Mixture(full, total, float(criterion.values(total)), derivatives)
-
-
-def _derivatives(matrices: Array, criterion: Criterion, information: Array) -> Array:
-    return np.einsum("ij,nji->n", criterion.sensitivity(information), matrices)
-
-
-def _solve(matrices: Array, criterion: Criterion, start: Array) -> Array:
-    """Weights on a few candidates."""
-    from scipy.optimize import minimize
-
-    def value(weights: Array) -> float:
-        return float(criterion.values(np.tensordot(weights, matrices, 1)))
-
-    def slope(weights: Array) -> Array:
-        return -_derivatives(matrices, criterion, np.tensordot(weights, matrices, 1))
-
-    optimum = minimize(
-        value,
-        start,
-        jac=slope,
-        method="SLSQP",
-        bounds=[(0.0, 1.0)] * start.size,
-        constraints={"type": "eq", "fun": lambda w: w.sum() - 1.0, "jac": np.ones_like},
-        options={"ftol": 1e-14, "maxiter": 300},
-    )
-    weights = np.maximum(optimum.x, 0.0)
-    weights = weights / weights.sum()
-    return weights if value(weights) <= value(start) else start
+        shares *= derivatives ** max(1.0 / (1.0 + criterion.power), _SLOWEST)
+        shares /= shares.sum()
+    return bound, largest
 
 
 @dataclass(frozen=True)
@@ -279,23 +222,3 @@ def fitted(places: Index, dwells: Index, limits: PlanLimits) -> tuple[Index, Ind
     while limits.room(dwells) > 0 and dwells.min() < limits.longest:
         dwells[np.argmin(dwells)] += 1
     return places, dwells
-
-
-def start_of(mixture: Mixture, steps: int, limits: PlanLimits) -> tuple[Index, Index]:
-    """Visits with the time shares of the mixture; small shares are dropped.
-
-    The candidates of the mixture are (place, dwell) pairs, ``steps`` dwells per place.
-    """
-    share = mixture.weights.reshape(-1, steps).sum(axis=1) * (limits.total + limits.move)
-    typical = (mixture.weights.reshape(-1, steps) * np.arange(1, steps + 1)).sum(axis=1)
-    typical = typical / np.maximum(mixture.weights.reshape(-1, steps).sum(axis=1), 1e-300)
-    wanted = np.where(share > 0.5 * (limits.shortest + limits.move), share, 0.0)
-    if not wanted.any():
-        wanted[np.argmax(share)] = limits.total
-    places, dwells = [], []
-    for place in np.flatnonzero(wanted):
-        number = max(1, round(wanted[place] / (typical[place] + limits.move)))
-        places += [place] * number
-        dwells += [max(limits.shortest, round(wanted[place] / number - limits.move))] * number
-    order = np.argsort(-np.array(dwells), kind="stable")
-    return np.array(places)[order], np.array(dwells)[order]

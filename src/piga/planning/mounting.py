@@ -24,7 +24,7 @@ from piga.units import to_si
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting(Result):
-    """Margins of all mountings: ``margins`` (skews, clocks), and ``inside``, the share of time below ``limit``.
+    """Margins of all mountings (skews, clocks). ``limit`` is the wanted one.
 
     ``best`` is the index of the best one. ``margin_history`` (n,) is its ``|u_x|/(u_t tan(beta))`` at times ``t`` [s];
     ``unskewed_history`` is that of the instrument without skew.
@@ -33,7 +33,6 @@ class Mounting(Result):
     skews: Array
     clocks: Array
     margins: Array
-    inside: Array
     limit: float
     t: Array
     margin_history: Array
@@ -94,17 +93,13 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
         np.array(angles_of_range(getattr(table, name), f"[mounting] {name}", "0:91:1 deg"))
         for name in ("skew", "clock")
     )
-    margins, inside = np.empty((2, skews.size, clocks.size))
-    for k, skew in enumerate(skews.tolist()):
-        ratios = _ratios(u, _axes(skew, clocks), tangent)
-        margins[k], inside[k] = ratios.min(axis=0), np.mean(ratios < table.margin, axis=0)
+    margins = np.array([_ratios(u, _axes(skew, clocks), tangent).min(axis=0) for skew in skews.tolist()])
     best = int(np.argmax(margins) // clocks.size), int(np.argmax(margins) % clocks.size)
     axes = _axes(skews[best[0]], clocks[[best[1]]])
     return Mounting(
         skews=skews,
         clocks=clocks,
         margins=margins,
-        inside=inside,
         limit=table.margin,
         t=t,
         margin_history=_ratios(u, axes, tangent)[:, 0],

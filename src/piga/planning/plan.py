@@ -1,16 +1,15 @@
 """Plan a test: the positions or levels, and the dwell in each, that give the smallest uncertainties.
 
-A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The best
-mixture of visits per second of test is a convex problem; its value is a lower bound for every test. An
-exchange search turns it into whole visits. The reported uncertainties are predicted by the estimator on the
-noiseless record of the exported test. The export is a scenario for ``piga simulate`` and one JSON document.
+A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. An exchange search from
+evenly spaced visits finds the test. The least value of any mixture of visits per second of test is a lower bound for every test.
+The reported uncertainties are predicted by the estimator on the noiseless record of the exported test. The export is a scenario
+for ``piga simulate`` and one JSON document.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -34,13 +33,11 @@ from piga.planning.criterion import (
     LARGEST_POWER,
     Criterion,
     Index,
-    Mixture,
     PlanLimits,
     Schedule,
-    best_mixture,
     fitted,
     improve,
-    start_of,
+    least_value,
 )
 from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
@@ -59,8 +56,6 @@ if TYPE_CHECKING:
 
 _STANDARD = (4, 6, 12, 24)
 """Numbers of evenly spaced positions in the standard plans."""
-_STRETCHES = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Durations in the figure, relative to the planned duration."""
 _STRIDE = 0.381966
 """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
 _ATTEMPTS = 12
@@ -76,7 +71,7 @@ class _Excluded:
 
 
 @dataclass(frozen=True)
-class _Cheapest:
+class CheapestTest:
     """The shortest test found that reaches the wanted uncertainties.
 
     ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
@@ -94,10 +89,8 @@ class Plan(Result, Plotted, Reported):
 
     ``plot()`` shows chosen positions and the time in each: two panels.
 
-    ``shares`` are the time shares of the usable candidates in the best mixture. ``largest_derivative`` is its
-    certificate (the number of coefficients for D, else 1). ``efficiency`` is the ratio of variances between the bound
-    of the convex problem and the plan, at most 1. ``stretched`` holds the planned and the last standard test for
-    other durations.
+    ``largest_derivative`` belongs to the mixture that gives the bound (at its optimum the number of coefficients for D, else 1).
+    ``efficiency`` is the ratio of variances between the bound and the plan, at most 1.
     """
 
     request: PlanRequest
@@ -105,13 +98,11 @@ class Plan(Result, Plotted, Reported):
     usable: tuple[Candidate, ...]
     excluded: tuple[_Excluded, ...]
     names: tuple[str, ...]
-    shares: Array
     largest_derivative: float
     efficiency: float
     best: Prediction
     standard: tuple[Prediction, ...]
-    stretched: tuple[tuple[float, Prediction, Prediction], ...]
-    cheapest: _Cheapest | None
+    cheapest: CheapestTest | None
 
     @property
     def reference(self) -> Prediction:
@@ -138,52 +129,40 @@ class Plan(Result, Plotted, Reported):
 
 @dataclass(frozen=True)
 class _Search:
-    """Data of the search for one request: scaled tables of the usable candidates, and the kind of criterion."""
+    """Tables of the usable candidates and the criterion, both in scaled parameters (``scaled = file / scale``)."""
 
     request: PlanRequest
     usable: tuple[Candidate, ...]
     tables: Array
     scale: Array
-    kind: str
-
-    @cached_property
-    def mixture(self) -> Mixture:
-        """The best mixture."""
-        return best_mixture(self._per_second(), self.criterion)
-
-    @cached_property
-    def start(self) -> Mixture:
-        """The mixture from which visits are searched: it determines every parameter."""
-        return best_mixture(self._per_second(), self.criterion.guarded())
-
-    def _per_second(self) -> Array:
-        """Information per second of test of every (place, dwell), (n, m, m)."""
-        steps = self.tables.shape[1]
-        cost = np.arange(1, steps + 1) * self.request.dwell_step + self.request.move
-        shortest = self.limits(self.request.duration).shortest
-        rates = self.tables / cost[:, None, None]
-        rates[:, : shortest - 1] = 0.0
-        return rates.reshape(-1, *self.tables.shape[2:])
+    criterion: Criterion
 
     def limits(self, duration: float) -> PlanLimits:
+        """Times of a test in dwell steps."""
         step = self.request.dwell_step
         shortest = max(1, math.ceil(self.request.minimum_dwell / step - 1e-9))
         return PlanLimits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
 
-    @cached_property
-    def criterion(self) -> Criterion:
-        """The criterion in scaled parameters (``scaled = file / scale``)."""
-        kind, plan, names = self.kind, self.request.settings, coefficient_names(self.request)
-        rows = np.diag(self.scale)
-        if kind == "c":
-            return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * self.scale, 1.0)
-        if kind == "wanted":
-            wanted = self.request.wanted
-            chosen = [names.index(n) for n in wanted]
-            return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], LARGEST_POWER)
-        chosen = [names.index(n) for n in plan.coefficients or names]
-        sizes = np.array([self.request.wanted.get(n, self.scale[names.index(n)]) for n in names])
-        return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
+    def bound(self) -> tuple[float, float]:
+        """Least value of the criterion for one second of test, and the largest derivative there."""
+        dwells = np.arange(1, self.tables.shape[1] + 1) * self.request.dwell_step
+        rates = self.tables / (dwells + self.request.move)[:, None, None]
+        rates = rates[:, self.limits(0.0).shortest - 1 :]
+        return least_value(rates.reshape(-1, *self.tables.shape[2:]), self.criterion)
+
+
+def _criterion(request: PlanRequest, scale: Array, kind: str) -> Criterion:
+    """The criterion in scaled parameters."""
+    plan, names = request.settings, coefficient_names(request)
+    rows = np.diag(scale)
+    if kind == "c":
+        return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * scale, 1.0)
+    if kind == "wanted":
+        chosen = [names.index(n) for n in request.wanted]
+        return Criterion(rows[chosen] / np.array(list(request.wanted.values()))[:, None], LARGEST_POWER)
+    chosen = [names.index(n) for n in plan.coefficients or names]
+    sizes = np.array([request.wanted.get(n, scale[names.index(n)]) for n in names])
+    return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
 
 
 @one_thread()
@@ -200,20 +179,17 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     CalibrationError
         If the time is too short, or every candidate is in the lock zone.
     """
-    steps = Steps(progress, 5)
+    steps = Steps(progress, 4)
     steps("listing positions")
     candidates = find_candidates(request)
-    excluded = tuple(_excluded(request, candidates))
-    left_out = {id(item.candidate) for item in excluded}
-    usable = tuple(c for c in candidates if id(c) not in left_out)
+    margin = request.settings.margin
+    excluded = tuple(_excluded(c, margin) for c in candidates if c.margin < margin)
+    usable = tuple(c for c in candidates if not c.margin < margin)
     request = _checked(request, usable)
     steps("information of each position")
     search = _prepare(request, usable)
-    criterion, mixture, _ = search.criterion, search.mixture, search.start
     steps("standard plans")
-    standard = tuple(
-        predict(request, name, visits) for name, visits in _standard(request, usable, request.duration)
-    )
+    standard = _standard(request, usable)
     if not standard:
         raise CalibrationError(
             f"[plan] duration = {request.duration:g} s is too short: no usual test fits into it",
@@ -221,36 +197,26 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
         )
     steps("choosing visits")
     best, value = _best(search, standard)
-    steps("other durations")
-    shares = mixture.weights.reshape(len(usable), -1).sum(axis=1)
-    bound = float(criterion.values(mixture.information * (request.duration + request.move)))
-    count = criterion.rows.shape[0] if criterion.power == 0.0 else 1
+    criterion, (bound, derivative) = search.criterion, search.bound()
+    bound -= math.log(request.duration + request.move)
     return Plan(
         request=request,
         candidates=candidates,
         usable=usable,
         excluded=excluded,
         names=coefficient_names(request),
-        shares=shares,
-        largest_derivative=count * float(mixture.derivatives.max()),
+        largest_derivative=derivative * (criterion.rows.shape[0] if criterion.power == 0.0 else 1),
         efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        stretched=_stretched(search, (request.duration, best, standard[-1])),
-        cheapest=_cheapest(search, best) if request.wanted else None,
+        cheapest=_cheapest(search, best, standard) if request.wanted else None,
     )
 
 
-def _excluded(request: PlanRequest, candidates: tuple[Candidate, ...]) -> list[_Excluded]:
-    """Candidates in the lock zone or near it."""
-    limit = request.settings.margin
-    excluded = []
-    for candidate in candidates:
-        if candidate.margin < limit:
-            word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
-            reason = f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"
-            excluded.append(_Excluded(candidate, reason))
-    return excluded
+def _excluded(candidate: Candidate, limit: float) -> _Excluded:
+    """A candidate in the lock zone or near it."""
+    word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
+    return _Excluded(candidate, f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)")
 
 
 def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest:
@@ -263,16 +229,12 @@ def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest
     if request.duration < request.minimum_dwell:
         raise CalibrationError("[plan] duration is below minimum_dwell", remedy="give it more time")
     interval, step = request.scenario.electronics.interval, request.dwell_step
-    if abs(step / interval - round(step / interval)) > 1e-6:
-        raise CalibrationError(
-            f"[plan] dwell_step {step:g} s is not a multiple of the sample interval {interval:g} s",
-            remedy="change dwell_step or sample_rate",
-        )
-    if abs(request.move / interval - round(request.move / interval)) > 1e-6:
-        raise CalibrationError(
-            f"the move time {request.move:g} s is not a multiple of the sample interval {interval:g} s",
-            remedy="change move or sample_rate",
-        )
+    for name, seconds in (("[plan] dwell_step", step), ("the move time", request.move)):
+        if abs(seconds / interval - round(seconds / interval)) > 1e-6:
+            raise CalibrationError(
+                f"{name} {seconds:g} s is not a multiple of the sample interval {interval:g} s",
+                remedy="change it, or sample_rate",
+            )
     longest = math.floor(min(request.longest_dwell, request.duration) / step + 1e-9) * step
     return replace(request, longest_dwell=max(longest, step * math.ceil(request.minimum_dwell / step - 1e-9)))
 
@@ -286,32 +248,29 @@ def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
     plain = 1.0 / np.sqrt(np.diag(equal))
     covariance = np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)
     scale = np.sqrt(np.diag(covariance))
-    return _Search(request, usable, tables * np.outer(scale, scale), scale, request.settings.criterion)
+    criterion = _criterion(request, scale, request.settings.criterion)
+    return _Search(request, usable, tables * np.outer(scale, scale), scale, criterion)
 
 
-def _standard(
-    request: PlanRequest, usable: tuple[Candidate, ...], duration: float
-) -> list[tuple[str, tuple[Visit, ...]]]:
-    """Standard plans for a duration: evenly spaced positions, or equal time on all without a dividing head."""
+def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
+    """Standard plans: evenly spaced positions, or equal time on all without a dividing head."""
     head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
-    if head is None:
-        places: list[tuple[str, tuple[Candidate, ...]]] = [("all levels", usable)]
-    else:
-        places = [(f"{n} positions", _evenly(request, head, n)) for n in _STANDARD]
+    places = {"all levels": usable}
+    if head is not None:
+        places = {
+            f"{count} positions": tuple(
+                candidate_of(request, f"{x:g} deg", msgspec.structs.replace(head, positions=(f"{x!r} deg",)))
+                for x in (360.0 * k / count for k in range(count))
+            )
+            for count in _STANDARD
+        }
     plans = []
-    for name, chosen in places:
-        dwell = _whole_samples(request, (duration + request.move) / len(chosen) - request.move)
+    for name, chosen in places.items():
+        dwell = _whole_samples(request, (request.duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
-            plans.append((name, _ordered(request, tuple(Visit(c, dwell) for c in chosen))))
-    return plans
-
-
-def _evenly(request: PlanRequest, head: DividingHeadTable, count: int) -> tuple[Candidate, ...]:
-    angles = [360.0 * k / count for k in range(count)]
-    return tuple(
-        candidate_of(request, f"{x:g} deg", msgspec.structs.replace(head, positions=(f"{x!r} deg",)))
-        for x in angles
-    )
+            visits = _ordered(request, tuple(Visit(candidate, dwell) for candidate in chosen))
+            plans.append(predict(request, name, visits))
+    return tuple(plans)
 
 
 def _whole_samples(request: PlanRequest, dwell: float) -> float:
@@ -345,22 +304,19 @@ def _value(search: _Search, prediction: Prediction) -> float:
     return float(search.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
 
 
-def _search_visits(
-    search: _Search, name: str, duration: float, starts: tuple[Prediction, ...] = ()
-) -> Prediction:
-    """Exchange search from the mixture and from the standard plans whose positions are candidates.
+def _search_visits(search: _Search, name: str, duration: float, standard: tuple[Prediction, ...]) -> Prediction:
+    """Exchange search from one visit to each place, and from the standard plans whose positions are candidates.
 
     A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Each place is then visited
     twice. If that is not enough, the longest dwell is halved, until it is.
     """
     limits, criterion = search.limits(duration), search.criterion.guarded()
-    begun = [start_of(search.start, search.tables.shape[1], limits)]
-    angles = {c.label: k for k, c in enumerate(search.usable)}
-    for prediction in starts:
-        places = [angles[v.candidate.label] for v in prediction.visits if v.candidate.label in angles]
-        if places:
-            dwell = max(limits.shortest, int(prediction.visits[0].dwell / search.request.dwell_step))
-            begun.append((np.array(places), np.full(len(places), dwell)))
+    places = {c.label: k for k, c in enumerate(search.usable)}
+    starts = [[v.candidate.label for v in one.visits if v.candidate.label in places] for one in standard]
+    begun = []
+    for labels in (list(places), *filter(None, starts)):
+        even = np.full(len(labels), max(limits.shortest, int(limits.total / len(labels) - limits.move)))
+        begun.append((np.array([places[label] for label in labels]), even))
     while True:
         best = min(
             (improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value
@@ -433,27 +389,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     return tuple(ordered)
 
 
-def _stretched(
-    search: _Search, here: tuple[float, Prediction, Prediction]
-) -> tuple[tuple[float, Prediction, Prediction], ...]:
-    """The planned and the last standard plan for other durations; ``here`` is the row of the planned duration."""
-    rows = []
-    for factor in _STRETCHES:
-        if factor == 1.0:
-            rows.append(here)
-            continue
-        duration = factor * search.request.duration
-        standard = _standard(search.request, search.usable, duration)
-        if duration < search.request.minimum_dwell or not standard:
-            continue
-        name, usual = standard[-1]
-        planned = _search_visits(search, "planned", duration)
-        if not planned.refusal:
-            rows.append((duration, planned, predict(search.request, name, usual)))
-    return tuple(rows)
-
-
-def _cheapest(search: _Search, best: Prediction) -> _Cheapest:
+def _cheapest(search: _Search, best: Prediction, standard: tuple[Prediction, ...]) -> CheapestTest:
     """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
     request, targets = search.request, {}
     for name, wanted in request.wanted.items():
@@ -463,18 +399,19 @@ def _cheapest(search: _Search, best: Prediction) -> _Cheapest:
                 f"the stand alone adds {by_stand:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be "
                 "reached in any time"
             )
-            return _Cheapest(math.inf, None, refusal)
+            return CheapestTest(math.inf, None, refusal)
         targets[name] = math.sqrt(wanted**2 - by_stand**2)
-    search = replace(search, request=replace(request, wanted=targets), kind="wanted")
-    bound = math.exp(search.mixture.value) - request.move
+    request_within = replace(request, wanted=targets)
+    search = replace(search, criterion=_criterion(request_within, search.scale, "wanted"))
+    bound = math.exp(search.bound()[0]) - request.move
     duration = max(bound, request.minimum_dwell)
     for _ in range(_ATTEMPTS):
-        plan = _search_visits(search, "cheapest", duration)
+        plan = _search_visits(search, "cheapest", duration, standard)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
-            return _Cheapest(max(bound, 0.0), plan)
+            return CheapestTest(max(bound, 0.0), plan)
         duration *= min(max(ratio**2, 1.005), 2.0)
-    return _Cheapest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
+    return CheapestTest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
 
 
 _PLAN_SCHEMA = "piga.plan/1"
@@ -577,7 +514,7 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
     return entry
 
 
-def _cheapest_document(plan: Plan, cheapest: _Cheapest) -> dict[str, Any]:
+def _cheapest_document(plan: Plan, cheapest: CheapestTest) -> dict[str, Any]:
     entry: dict[str, Any] = {"wanted": plan.request.wanted, "bound_s": finite(cheapest.bound)}
     if cheapest.plan is None:
         return entry | {"refusal": cheapest.refusal}

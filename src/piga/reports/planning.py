@@ -11,7 +11,7 @@ import numpy as np
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
 from piga.planning.mounting import Mounting
-from piga.planning.plan import Plan
+from piga.planning.plan import CheapestTest, Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
 from piga.reports.render.numbers import pretty_unit, short, signed, significant
@@ -33,7 +33,6 @@ def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
     """The figures of a plan by name."""
     drawn: dict[str, Callable[[], Figure]] = {
         "positions": partial(_dwell_figure, plan),
-        "duration": partial(_duration_figure, plan),
     }
     return drawn if plan.request.direct else drawn | {"lock": partial(_lock_figure, plan)}
 
@@ -59,25 +58,6 @@ def _dwell_figure(plan: Plan) -> Figure:
     plot.line(np.arange(1, len(chosen) + 1), dwells, "dwell", "after", mark="bars", text=named)
     return plot.caption(
         "The whole time goes to a few positions; the others would add less per second, moves counted."
-    )
-
-
-def _duration_figure(plan: Plan) -> Figure:
-    hours = np.array([duration for duration, _, _ in plan.stretched]) / 60.0
-    plot = Plot("plan-duration", "Uncertainty against duration", columns=2, height=2.6)
-    for name in plan.names:
-        best = plan.best.std(name)
-        planned = np.array([a.std(name) for _, a, _ in plan.stretched]) / best
-        usual = np.array([b.std(name) for _, _, b in plan.stretched]) / best
-        plot.panel("log duration of the test [min]", "log u over that of the plan", name)
-        plot.marked(hours, planned, "planned", "after")
-        known = np.isfinite(usual)
-        if known.any():
-            plot.marked(hours[known], usual[known], plan.stretched[-1][2].name, "before")
-        plot.dashed(hours, np.sqrt(plan.request.duration / 60.0 / hours), "1/sqrt(time)", "muted")
-    return plot.caption(
-        "Type A. With the random walk of the output alone the curves fall as one over the root of the time; where quantisation "
-        "rules, longer dwells gain more."
     )
 
 
@@ -135,8 +115,9 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     sections = [
         Section("The test", "the-test", (lead, places, _visit_table(plan))),
         Section("What it will give", "what-it-gives", (_uncertainty_table(plan),)),
-        Section("Time", "time", (_cheapest(plan), partial(_duration_figure, plan))),
     ]
+    if plan.cheapest is not None:
+        sections.append(Section("Time", "time", (_cheapest(plan, plan.cheapest),)))
     if not plan.request.direct:
         left_out: Notice | Table = Notice("info", "No candidate is in or near the lock zone.")
         if plan.excluded:
@@ -229,10 +210,7 @@ def _locked_notes(plan: Plan) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _cheapest(plan: Plan) -> Notice | None:
-    cheapest = plan.cheapest
-    if cheapest is None:
-        return None
+def _cheapest(plan: Plan, cheapest: CheapestTest) -> Notice:
     shown = (
         (name, u, *shown_unit(name, unit_of(name, plan.request.unit)))
         for name, u in plan.request.wanted.items()
