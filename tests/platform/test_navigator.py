@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piga import earth
-from piga._kernels.platform.navigation import geodetic, height_and_normal
+from piga._kernels.platform import geodetic, height_and_normal
 from piga.errors import ArgumentError
 from piga.frames import axis_turn
 from piga.platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga import earth
-from piga._kernels.platform.motion import nulled_series
 from piga.frames import axis_turn, skew
 from piga.platform.scenario import Gyro, Rotation
 from piga.results import Array
@@ -129,12 +128,22 @@ def nulled_attitude(
     """Exact ``C_G^P`` (n, 3, 3) and ring angle Y (n,) [rad] with both pick-offs nulled.
 
     ``c1, c2`` case angles with their phase and ``eta`` redundancy angle [rad], each (n,) or a scalar.
-    No small-angle step. Own derivation, docs/theory/platform.md section 2.
+    The tip of the polar momentum is ``n1 = (-sin m1 sin c1, sin m1 cos c1, cos m1)`` in P, that of the equatorial one
+    ``n2 = (cos m2, -sin m2 sin c2, sin m2 cos c2)`` in the ring. Y solves ``n1 . R_y(Y) n2 = -sin(eta)``. The attitude is
+    the triad of the two momenta. No small-angle step. Own derivation, docs/theory/platform.md section 2.
     """
-    a, b, e = (np.ascontiguousarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
-    attitude, ring = np.empty((a.size, 3, 3)), np.empty(a.size)
-    nulled_series(misalignment(polar, a), a, misalignment(equatorial, b), b, e, attitude, ring)
-    return attitude, ring
+    a, b, e = (np.asarray(v, dtype=float) for v in np.broadcast_arrays(*np.atleast_1d(c1, c2, eta)))
+    m1, m2 = misalignment(polar, a), misalignment(equatorial, b)
+    x1, y1, z1 = -np.sin(m1) * np.sin(a), np.sin(m1) * np.cos(a), np.cos(m1)
+    x2, y2, z2 = np.cos(m2), -np.sin(m2) * np.sin(b), np.sin(m2) * np.cos(b)
+    along, across = x1 * x2 + z1 * z2, z1 * x2 - x1 * z2
+    ring = np.arctan2(along, across) + np.arcsin((np.sin(e) + y1 * y2) / np.hypot(along, across))
+    c, s = np.cos(ring), np.sin(ring)
+    x2, z2 = x2 * c + z2 * s, z2 * c - x2 * s  # the equatorial momentum in P
+    y = np.stack([y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2], axis=-1)
+    y /= np.linalg.norm(y, axis=-1, keepdims=True)
+    z = np.stack([x1, y1, z1], axis=-1)
+    return np.stack([np.cross(y, z), y, z], axis=-1), ring
 
 
 def small_angles(

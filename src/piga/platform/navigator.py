@@ -13,14 +13,7 @@ import numpy as np
 from scipy.linalg import expm, matrix_balance
 
 from piga import earth
-from piga._kernels.platform.motion import follow
-from piga._kernels.platform.navigation import (
-    States,
-    Stepping,
-    Triad,
-    local_level,
-    navigate_chunk,
-)
+from piga._kernels.platform import States, Stepping, Triad, follow, local_level, navigate_chunk
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix, skew
 from piga.platform import geometry

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
-from piga._kernels.platform.motion import drift_series, solve_triad
+from piga._kernels.platform import drift_series
 from piga.errors import ArgumentError, DataError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
@@ -219,13 +219,38 @@ def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
             "turn can be solved",
             remedy=f"shorten [run] step below {(times[1] - times[0]) * 2.0 / fastest:.2g} s",
         )
-    increments = np.empty((turned.shape[1], 3))
-    solve_triad(
-        alpha + sensors.phase_error, axes, np.full(3, sensors.scale_factor),
-        np.full(3, sensors.tan_beta + sensors.tan_beta_error), float(times[1] - times[0]), 4,
-        np.empty((3, 4)), increments,
-    )  # fmt: skip
-    return increments
+    step = float(times[1] - times[0])
+    gain, tan_beta = sensors.scale_factor * step, sensors.tan_beta + sensors.tan_beta_error
+    return step * _solve_triad(gain, tan_beta, alpha + sensors.phase_error, axes)
+
+
+_SWEEPS = 4
+"""Newton steps for the force of a step."""
+
+
+def _solve_triad(gain: float, tan_beta: float, alpha: Array, axes: Array) -> Array:
+    """Constant force (n, 3) [m/s^2] over each step that turns three gimbals as measured.
+
+    Newton steps on the exact motion (:mod:`piga.instrument.constant_input`), with the effective input axes averaged over the
+    step as Jacobian. ``gain``: K times the step [rad/(m/s^2)]; ``alpha`` (3, n + 1) [rad]; ``axes`` (3, 3, 3): rows X0, Y0, Z0
+    of each in the common frame. Own derivation, docs/theory/platform.md section 10.
+    """
+    turned, sine, cosine = np.diff(alpha).T, np.sin(alpha).T, np.cos(alpha).T
+    s0, c0, still = sine[:-1], cosine[:-1], np.abs(turned) < 1e-3
+    even = np.where(still, 1.0, turned)
+    s = np.where(still, 0.5 * (s0 + sine[1:]), (c0 - cosine[1:]) / even)  # means over an angle that runs evenly
+    c = np.where(still, 0.5 * (c0 + cosine[1:]), (sine[1:] - s0) / even)
+    matrix = gain * (axes[:, 0] + tan_beta * (s[..., None] * axes[:, 1] - c[..., None] * axes[:, 2]))
+    force = np.zeros((len(turned), 3))
+    for _ in range(_SWEEPS):
+        A, Y, Z = (
+            gain * np.array([1.0, tan_beta, tan_beta])[:, None, None] * np.einsum("iaj,nj->ani", axes, force)
+        )
+        root = np.sqrt(0.25 * (Y * Y + Z * Z - A * A) + 0j)
+        C, S = np.cosh(root).real, np.sinc(1j * root / np.pi).real
+        along = 2.0 * np.arctan2(0.5 * S * (A + Y * s0 - Z * c0), C - 0.5 * S * (Y * c0 + Z * s0))
+        force += np.linalg.solve(matrix, (turned - along)[..., None])[..., 0]
+    return force
 
 
 def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:

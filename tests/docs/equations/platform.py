@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
 from piga import earth
-from piga._kernels.platform.motion import drift_triad
-from piga._kernels.platform.navigation import Stepping, Triad, navigate_chunk
+from piga._kernels.platform import Stepping, Triad, drift_triad, navigate_chunk
 from piga.earth import EARTH_RATE
 from piga.frames import axis_turn
 from piga.platform import Perturbation, linear_errors, theory_lines, true_knowledge

@@ -1,6 +1,6 @@
-"""Kernel of the navigator: compensated velocity increments to inertial position and velocity.
+"""Kernels of the platform: drift of its gyros, the filter of its pick-off, and the navigator's step.
 
-The step is explicit and of fourth order (Stoermer-Cowell for position, Adams-Moulton for velocity;
+The navigator's step is explicit and of fourth order (Stoermer-Cowell for position, Adams-Moulton for velocity;
 coefficients rederived in docs/theory/platform.md section 7). The velocity includes every increment in full, so
 that motion faster than the step is not lost.
 """
@@ -11,6 +11,69 @@ import math
 from typing import NamedTuple
 
 from piga._kernels.jit import Array, inline, kernel
+
+Vector = tuple[float, float, float]
+
+
+@kernel
+def follow(
+    pickoff: Array,
+    expected: Array,
+    start: float,
+    rate: float,
+    step: float,
+    gain: float,
+    rate_gain: float,
+    out: Array,
+) -> None:
+    """Track ``pickoff - expected`` [rad] to second order; ``out`` (n,) has no lag on a ramp."""
+    value = start
+    for i in range(pickoff.shape[0]):
+        if i > 0:
+            value += step * rate
+        error = pickoff[i] - expected[i] - value
+        value += gain * error
+        rate += rate_gain * error
+        out[i] = value
+
+
+@inline
+def drift_triad(
+    c_ig: Array, rates: Array, eta: float, s1: float, c1: float, s2: float, c2: float, h: float
+) -> float:
+    """Turn ``C_i^G`` (3, 3) in place by the gyros' drift over ``h``; returns the new eta [He2014].
+
+    ``rates`` (8,): w1x, w1y, w2y, w2z that stay in G axes, then the same four in case axes.
+    ``w_Gx = w1x, w_Gy = w1y, w_Gz = w2z sec(eta) - w1x tan(eta), eta' = w2y - w1y``.
+    """
+    wx = rates[0] + c1 * rates[4] - s1 * rates[5]
+    wy = rates[1] + s1 * rates[4] + c1 * rates[5]
+    w2y = rates[2] + c2 * rates[6] - s2 * rates[7]
+    w2z = rates[3] + s2 * rates[6] + c2 * rates[7]
+    middle = eta + 0.5 * (w2y - wy) * h
+    wz = (w2z - wx * math.sin(middle)) / math.cos(middle)
+    x, y, z = wx * h, wy * h, wz * h
+    for j in range(3):
+        a, b, c = c_ig[0, j], c_ig[1, j], c_ig[2, j]
+        # C <- (I - [x] + [x]^2 / 2) C
+        da, db, dc = z * b - y * c, x * c - z * a, y * a - x * b
+        c_ig[0, j] = a + da + 0.5 * (z * db - y * dc)
+        c_ig[1, j] = b + db + 0.5 * (x * dc - z * da)
+        c_ig[2, j] = c + dc + 0.5 * (y * da - x * db)
+    return eta + (w2y - wy) * h
+
+
+@kernel
+def drift_series(first: Array, second: Array, rates: Array, h: float, triad: Array, eta: Array) -> None:
+    """Drift of the triad over equal steps ``h``: ``C_i^G`` (n, 3, 3) and the redundancy angle (n,), from their first rows.
+
+    ``first, second`` (n, 2) sine and cosine of the case angles; ``rates`` (8,) see :func:`drift_triad`.
+    """
+    for i in range(1, eta.shape[0]):
+        triad[i] = triad[i - 1]
+        s1, c1 = 0.5 * (first[i - 1, 0] + first[i, 0]), 0.5 * (first[i - 1, 1] + first[i, 1])
+        s2, c2 = 0.5 * (second[i - 1, 0] + second[i, 0]), 0.5 * (second[i - 1, 1] + second[i, 1])
+        eta[i] = drift_triad(triad[i], rates, eta[i - 1], s1, c1, s2, c2, h)
 
 
 class Triad(NamedTuple):
@@ -186,10 +249,9 @@ def geodetic(x: float, y: float, z: float, semi_major: float, e2: float) -> tupl
 
 
 @inline
-def turn(
-    x: float, y: float, z: float, ax: float, ay: float, az: float, angle: float
-) -> tuple[float, float, float]:
-    """Vector turned by ``angle`` about the unit axis ``a`` (Rodrigues)."""
+def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
+    """Vector turned by ``angle`` [rad] about a unit axis (Rodrigues)."""
+    (x, y, z), (ax, ay, az) = v, axis
     c, s = math.cos(angle), math.sin(angle)
     dot = (ax * x + ay * y + az * z) * (1.0 - c)
     return (
@@ -200,48 +262,24 @@ def turn(
 
 
 @inline
-def base_angles(
-    place: tuple[float, float, float, float],
-    triad: Triad,
-    rate: float,
-    t: float,
-    e: tuple[float, float, float],
-    gimbals: Array,
-) -> tuple[float, float, float]:
-    """Roll, pitch, heading [rad]: local axes turned to triad, platform and, by the gimbals, body axes.
-
-    ``place``: cosine and sine of the inertial longitude, then of the latitude; ``rate`` the size of the drift; ``e``
-    the small angles of the platform; body axes by ``(R3(sigma) R2(theta) R3(psi))^T``.
-    """
-    ci, si, cl, sl = place
+def _in_body(v: Vector, triad: Triad, t: float, e: Vector, gimbals: Array) -> Vector:
+    """Inertial vector in triad, platform and, by the gimbals, body axes: ``(R3(sigma) R2(theta) R3(psi))^T``."""
+    (x, y, z), c, drift = v, triad.c_gi, triad.drift
+    x, y, z = (
+        c[0, 0] * x + c[1, 0] * y + c[2, 0] * z,
+        c[0, 1] * x + c[1, 1] * y + c[2, 1] * z,
+        c[0, 2] * x + c[1, 2] * y + c[2, 2] * z,
+    )
+    rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
+    if rate > 0.0:
+        x, y, z = _turned((x, y, z), (drift[0] / rate, drift[1] / rate, drift[2] / rate), -rate * t)
     ex, ey, ez = e
-    c_gi, drift = triad.c_gi, triad.drift
-    ci1, si1 = math.cos(gimbals[0]), math.sin(gimbals[0])
-    ci2, si2 = math.cos(gimbals[1]), math.sin(gimbals[1])
-    ci3, si3 = math.cos(gimbals[2]), math.sin(gimbals[2])
-    for column in range(3):
-        if column == 0:
-            ax, ay, az = -sl * ci, -sl * si, cl
-        elif column == 1:
-            ax, ay, az = -si, ci, 0.0
-        else:
-            ax, ay, az = -cl * ci, -cl * si, -sl
-        bx = c_gi[0, 0] * ax + c_gi[1, 0] * ay + c_gi[2, 0] * az
-        by = c_gi[0, 1] * ax + c_gi[1, 1] * ay + c_gi[2, 1] * az
-        bz = c_gi[0, 2] * ax + c_gi[1, 2] * ay + c_gi[2, 2] * az
-        if rate > 0.0:
-            bx, by, bz = turn(bx, by, bz, drift[0] / rate, drift[1] / rate, drift[2] / rate, -rate * t)
-        px, py, pz = bx - ey * bz + ez * by, by - ez * bx + ex * bz, bz - ex * by + ey * bx
-        px, py = ci3 * px - si3 * py, si3 * px + ci3 * py
-        px, bodyz = ci2 * px + si2 * pz, ci2 * pz - si2 * px
-        bodyx, bodyy = ci1 * px - si1 * py, si1 * px + ci1 * py
-        if column == 0:
-            b00 = bodyx
-        elif column == 1:
-            b01 = bodyx
-        else:
-            b02, b12, b22 = bodyx, bodyy, bodyz
-    return math.atan2(b12, b22), math.atan2(-b02, math.hypot(b12, b22)), math.atan2(b01, b00)
+    x, y, z = x - ey * z + ez * y, y - ez * x + ex * z, z - ex * y + ey * x
+    c1, s1, c2, s2 = math.cos(gimbals[0]), math.sin(gimbals[0]), math.cos(gimbals[1]), math.sin(gimbals[1])
+    c3, s3 = math.cos(gimbals[2]), math.sin(gimbals[2])
+    x, y = c3 * x - s3 * y, s3 * x + c3 * y
+    x, z = c2 * x + s2 * z, c2 * z - s2 * x
+    return c1 * x - s1 * y, s1 * x + c1 * y, z
 
 
 @kernel
@@ -254,8 +292,7 @@ def local_level(
     (n, 3) or (1, 3) of the platform against the triad are those of the states' instants; ``triad`` of time zero,
     its drift along triad axes turned out as one rotation vector.
     """
-    r, v, times, drift = states.r, states.v, states.times, triad.drift
-    rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
+    r, v, times = states.r, states.v, states.times
     for i in range(r.shape[0]):
         angle = earth_rate * times[i]
         ce, se = math.cos(angle), math.sin(angle)
@@ -270,6 +307,9 @@ def local_level(
         out[i, 4] = co * w - so * u
         out[i, 5] = -cl * radial - sl * v[i, 2]
         k = i if angles.shape[0] > 1 else 0
-        e = (angles[k, 0], angles[k, 1], angles[k, 2])
-        place = (ce * co - se * so, se * co + ce * so, cl, sl)
-        out[i, 6], out[i, 7], out[i, 8] = base_angles(place, triad, rate, times[i], e, states.gimbals[i])
+        e, ci, si = (angles[k, 0], angles[k, 1], angles[k, 2]), ce * co - se * so, se * co + ce * so
+        north, _, _ = _in_body((-sl * ci, -sl * si, cl), triad, times[i], e, states.gimbals[i])
+        east, _, _ = _in_body((-si, ci, 0.0), triad, times[i], e, states.gimbals[i])
+        down, aside, below = _in_body((-cl * ci, -cl * si, -sl), triad, times[i], e, states.gimbals[i])
+        out[i, 6], out[i, 8] = math.atan2(aside, below), math.atan2(east, north)
+        out[i, 7] = math.atan2(-down, math.hypot(aside, below))
