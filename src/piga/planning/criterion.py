@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import CalibrationError
 from piga.results import Array
 
 Index = NDArray[np.int64]
