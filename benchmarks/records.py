@@ -24,7 +24,6 @@ from benchmarks import measured as figures
 import piga
 from piga.data import copy_example
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.database import read_head, read_identity
 from piga.ledger.store.documents import IDENTITY, Identity, Position, decode, encode, new_id
 from piga.records.calibration.document import to_document
 
@@ -72,21 +71,21 @@ def fill(path: Path, count: int, whole: dict[str, Any], small: dict[str, Any]) -
     chance = random.Random(1)
     with open_store(path, create=True) as store:
         for start in range(0, count, 1000):
-            with store.database.writing() as connection:
-                identity = decode(read_identity(connection), Identity, IDENTITY, "identity")
+            with store.database.writing() as rows:
+                identity = decode(rows.identity(), Identity, IDENTITY, "identity")
                 for number in range(start, min(start + 1000, count)):
                     own = number < MOST
                     serial = "A" if own else f"B-{number // 100}"
                     raw = varied(whole if own else small, serial, chance)
                     day = dt.date(2000, 1, 1) + dt.timedelta(days=number % MOST)
-                    head = read_head(connection)
+                    head = rows.head()
                     place = Position(new_id(), head.number + 1, identity.store, head.sha256)
                     files = (
                         DraftFile("run", "run.toml", b"# run\n"),
                         DraftFile("calibration", "results/c.json", raw),
                     )
                     made = Draft(serial, "A. Meyer", f"number {number}", files, {}, {}, str(day))
-                    store.insert(connection, encode(store._document(connection, place, made)), None)
+                    store.insert(rows, encode(store._document(rows, place, made)))
 
 
 def children() -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from piga.errors import CalibrationError, DataError, RunFileError
 from piga.ledger.reproduce import software_identity
@@ -62,6 +62,8 @@ def _joined(below: str, name: str) -> str:
     return os.path.normpath(f"{below}/{name}" if below else name).replace(os.sep, "/")
 
 
+_RESULT, _PAGE = "results/calibration.json", "results/report.html"
+"""Names of the results in a record."""
 _MAX_PAGE = 1 << 28
 """Largest page that is kept [bytes]. The page of a calibration has a few MB."""
 
@@ -88,7 +90,7 @@ class Prepared:
         if not self.report:
             return self.draft
         page = _report(self.calibration, self.draft, place)
-        report = DraftFile("report", "results/report.html", page.encode())
+        report = DraftFile("report", _PAGE, page.encode())
         return replace(self.draft, files=(*self.draft.files, report))
 
 
@@ -131,18 +133,9 @@ def prepare_run(
     from piga.stand import read_run
 
     calibration = calibrate(read_run(run), terms, method, phases=phases, phase_source=phase_source)
-    inputs = input_files(run, calibration.provenance.input_sha256)
-    draft = Draft(
-        calibration.serial,
-        operator,
-        reason,
-        (*inputs, DraftFile("calibration", "results/calibration.json", calibration_to_bytes(calibration))),
-        _request(calibration),
-        software_identity(),
-        measured,
-        supersedes,
-    )
-    return Prepared(draft, calibration, report)
+    result = DraftFile("calibration", _RESULT, calibration_to_bytes(calibration))
+    draft = _draft(run, calibration, [result], operator, reason, measured, supersedes)
+    return Prepared(replace(draft, software=software_identity()), calibration, report)
 
 
 def prepare_results(
@@ -154,53 +147,46 @@ def prepare_results(
     measured: str | None = None,
     supersedes: str | None = None,
 ) -> Prepared:
-    """Prepare a record from the results of ``piga calibrate`` and their run. Every file is stored unchanged.
+    """Prepare a record from the folder of ``piga calibrate`` and its run. Every file is stored unchanged.
 
-    Parameters
-    ----------
-    run:
-        Run file.
-    results:
-        Directory with ``calibration.json`` and, if there is one, ``report.html``.
-    operator, reason, measured, supersedes:
-        As for :func:`prepare_run`.
+    The other parameters are those of :func:`prepare_run`.
 
     Raises
     ------
     PigaError
         If the results are not those of this run.
     """
-    path = results / "calibration.json"
+    path, page = results / "calibration.json", results / "report.html"
     raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
     calibration = calibration_from_bytes(raw, path)
-    inputs = input_files(run, calibration.provenance.input_sha256)
-    files = [*inputs, DraftFile("calibration", "results/calibration.json", raw)]
-    if (results / "report.html").is_file():
-        page = read_whole(results / "report.html", _MAX_PAGE, "a report.html", CalibrationError)
-        files.append(DraftFile("report", "results/report.html", page))
+    files = [DraftFile("calibration", _RESULT, raw)]
+    if page.is_file():
+        html = read_whole(page, _MAX_PAGE, "a report.html", CalibrationError)
+        files.append(DraftFile("report", _PAGE, html))
     check_results(results)
-    software = {"piga": calibration.provenance.software.removeprefix("piga ")}
-    draft = Draft(
-        calibration.serial,
-        operator,
-        reason,
-        tuple(files),
-        _request(calibration),
-        software,
-        measured,
-        supersedes,
-    )
-    return Prepared(draft, calibration)
+    return Prepared(_draft(run, calibration, files, operator, reason, measured, supersedes), calibration)
 
 
-def _request(calibration: Calibration) -> dict[str, Any]:
-    """The options of the calibration, so that it can be repeated."""
-    return {
+def _draft(
+    run: Path,
+    calibration: Calibration,
+    results: list[DraftFile],
+    operator: str,
+    reason: str,
+    measured: str | None,
+    supersedes: str | None,
+) -> Draft:
+    """The record of a calibration: inputs, results, and its options, so that it can be repeated."""
+    inputs = input_files(run, calibration.provenance.input_sha256)
+    options = {
         "terms": list(calibration.terms),
         "method": calibration.method,
         "phase": calibration.phases,
         "phase_source": calibration.phase_source,
     }
+    software = {"piga": calibration.provenance.software.removeprefix("piga ")}
+    files = (*inputs, *results)
+    return Draft(calibration.serial, operator, reason, files, options, software, measured, supersedes)
 
 
 def _report(calibration: Calibration, draft: Draft, place: Position) -> str:

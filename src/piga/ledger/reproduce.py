@@ -15,6 +15,7 @@ import math
 import os
 import platform
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -80,78 +81,60 @@ class Comparison:
 
 def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
     """Compare two calibrations of the same inputs."""
-    recomputed = _of_the_same_inputs(stored, recomputed)
+    former = stored.provenance.software.startswith(_OTHER_ESTIMATOR)
+    digests = stored.provenance.input_sha256  # piga 0.1 stored those of run and data file only
+    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in digests}
+    recomputed = replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
     identical = _numbers(stored) == _numbers(recomputed)
-    facts = [
-        f"{name}: {a!r}, recomputed {b!r}" for name, (a, b) in _facts(stored, recomputed).items() if a != b
+    then, now = _facts(stored, former), _facts(recomputed, former)
+    differences = [
+        f"{name}: {fact!r}, recomputed {now[name]!r}" for name, fact in then.items() if fact != now[name]
     ]
-    if facts:
-        return Comparison(identical, (), tuple(facts))
-    compared = (
-        _other_estimator(stored, recomputed) if _is_other(stored) else _same_estimator(stored, recomputed)
-    )
+    if differences:
+        return Comparison(identical, (), tuple(differences))
+    compared = tuple(_compared(stored, recomputed, former))
     differences = [
         f"{c.name}: {c.stored!r}, recomputed {c.recomputed!r}, allowed {c.allowed:.2g}"
         for c in compared
         if not c.agrees
     ]
-    return Comparison(identical, tuple(compared), tuple(differences))
-
-
-def _is_other(stored: Calibration) -> bool:
-    return stored.provenance.software.startswith(_OTHER_ESTIMATOR)
-
-
-def _of_the_same_inputs(stored: Calibration, recomputed: Calibration) -> Calibration:
-    """The recomputed calibration with only the digests that the stored one has. piga 0.1 stored those of run and data file only."""
-    digests = stored.provenance.input_sha256
-    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in digests}
-    return replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
+    return Comparison(identical, compared, tuple(differences))
 
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     """The content of ``calibration.json`` without :data:`_UNCOMPARED`."""
-    document = to_document(calibration)
-    provenance = {key: value for key, value in document["provenance"].items() if key not in _UNCOMPARED}
-    options = {key: value for key, value in provenance["options"].items() if key not in _UNCOMPARED}
-    numbers: dict[str, Any] = {**document, "provenance": {**provenance, "options": options}}
-    return json.loads(json.dumps(numbers))
+    document = json.loads(json.dumps(to_document(calibration)))
+    for table in (document["provenance"], document["provenance"]["options"]):
+        for name in _UNCOMPARED:
+            table.pop(name, None)
+    return document
 
 
-def _facts(a: Calibration, b: Calibration) -> dict[str, tuple[Any, Any]]:
-    """The entries that rounding cannot change."""
+def _facts(calibration: Calibration, former: bool) -> dict[str, Any]:
+    """The entries that rounding cannot change; ``former``: nor another estimator."""
     names = ["serial", "terms", "phases"]
-    names += [] if _is_other(a) else ["phase_source", "method", "surplus_observations", "quality"]
-    facts: dict[str, tuple[Any, Any]] = {name: (getattr(a, name), getattr(b, name)) for name in names}
-    facts["coefficients"] = ([c.key for c in a.coefficients], [c.key for c in b.coefficients])
-    facts["inputs"] = (a.provenance.input_sha256, b.provenance.input_sha256)
-    return facts
+    names += [] if former else ["phase_source", "method", "surplus_observations", "quality"]
+    facts: dict[str, Any] = {name: getattr(calibration, name) for name in names}
+    facts["coefficients"] = [c.key for c in calibration.coefficients]
+    return facts | {"inputs": calibration.provenance.input_sha256}
 
 
-def _other_estimator(a: Calibration, b: Calibration) -> list[Compared]:
-    return [
-        Compared(c.key, c.value, _near(c, d), _ESTIMATOR * c.std)
-        for c, d in zip(a.coefficients, b.coefficients, strict=True)
-    ]
-
-
-def _same_estimator(a: Calibration, b: Calibration) -> list[Compared]:
-    compared = []
+def _compared(a: Calibration, b: Calibration, former: bool) -> Iterator[Compared]:
+    """Each number of two calibrations, with the difference allowed; of the former estimator the values alone."""
+    share = _ESTIMATOR if former else ROUNDING
     for c, d in zip(a.coefficients, b.coefficients, strict=True):
-        compared += [
-            Compared(c.key, c.value, _near(c, d), ROUNDING * c.std),
-            Compared(f"u({c.key})", c.std, d.std, ROUNDING * c.std),
-        ]
+        yield Compared(c.key, c.value, _near(c, d), share * c.std)
+        if not former:
+            yield Compared(f"u({c.key})", c.std, d.std, share * c.std)
+    if former:
+        return
     std = np.array([c.std for c in a.coefficients])
-    excess = np.abs(a.covariance - b.covariance) - ROUNDING * np.outer(std, std)
-    i, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    allowed = share * np.outer(std, std)
+    i, j = np.unravel_index(int(np.argmax(np.abs(a.covariance - b.covariance) - allowed)), allowed.shape)
     name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
-    allowed = ROUNDING * float(std[i] * std[j])
-    compared.append(Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), allowed))
+    yield Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(allowed[i, j]))
     for name in ("angle_rms", "angle_random_walk", "residual_rms", "residual_rms_before"):
-        size = getattr(a, name)
-        compared.append(Compared(name, size, getattr(b, name), ROUNDING * size))
-    return compared
+        yield Compared(name, getattr(a, name), getattr(b, name), share * getattr(a, name))
 
 
 def _near(stored: Coefficient, recomputed: Coefficient) -> float:
@@ -220,28 +203,22 @@ def _change(key: str, old: Coefficient | None, new: Coefficient | None) -> Chang
 
 
 def _differing(a: Record, b: Record) -> dict[str, tuple[Any, Any]]:
-    first, second = _plain(a), _plain(b)
-    return {
-        name: (first.get(name), second.get(name))
-        for name in dict.fromkeys((*first, *second))
-        if first.get(name) != second.get(name)
-    }
+    first, second = _facts_of(a), _facts_of(b)
+    names = dict.fromkeys((*first, *second))
+    return {n: (first.get(n), second.get(n)) for n in names if first.get(n) != second.get(n)}
 
 
-def _plain(record: Record) -> dict[str, Any]:
+def _facts_of(record: Record) -> dict[str, Any]:
     document = record.document
-    plain: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "instrument": document.serial,
         "operator": document.operator,
         "measured": document.measured,
     }
-    plain |= {
-        f"file {file.role}": file.sha256
-        for file in document.files
-        if file.role not in ("report", "calibration")
-    }
-    plain |= {f"request {name}": value for name, value in document.request.items()}
-    return plain | {f"software {name}": value for name, value in document.software.items()}
+    inputs = (file for file in document.files if file.role not in ("report", "calibration"))
+    facts |= {f"file {file.role}": file.sha256 for file in inputs}
+    facts |= {f"request {name}": value for name, value in document.request.items()}
+    return facts | {f"software {name}": value for name, value in document.software.items()}
 
 
 Verdict = Literal["identical", "within tolerance", "different"]
@@ -295,7 +272,10 @@ def reproduce(store: Store, name: str | int) -> Reproduced:
         raise StoreError(f"record {record.id} holds no run or no calibration", remedy="it cannot be recomputed")
     stored = store.calibration(record.id)
     request = record.document.request
-    with tempfile.TemporaryDirectory(prefix="piga-") as folder, numbers_are_si(_is_other(stored)):
+    with (
+        tempfile.TemporaryDirectory(prefix="piga-") as folder,
+        numbers_are_si(stored.provenance.software.startswith(_OTHER_ESTIMATOR)),
+    ):
         run = read_run(store.extract(record.id, Path(folder), inputs_only=True))
         recomputed = calibrate(
             run,

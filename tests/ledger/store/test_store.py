@@ -191,9 +191,9 @@ def _append_with_limit(store: piga.ledger.store.store.Store, pages: int) -> None
 
     @contextmanager
     def limited():  # type: ignore[no-untyped-def]
-        with original() as connection:
-            connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
-            yield connection
+        with original() as rows:
+            rows.connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
+            yield rows
 
     store.database.writing = limited  # type: ignore[method-assign]
     try:

@@ -13,31 +13,20 @@ import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy import (
-    BigInteger,
-    CheckConstraint,
-    Column,
-    ForeignKey,
-    Integer,
-    LargeBinary,
-    MetaData,
-    Table,
-    Text,
-)
+from sqlalchemy import BigInteger, CheckConstraint, Column, ForeignKey, Integer, LargeBinary, Table, Text
 from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
 from sqlalchemy.pool import NullPool, StaticPool
 
 from piga.errors import StoreError, install_command
-from piga.ledger.store.documents import PART, Entry, Head, new_identity, sha256
+from piga.ledger.store.documents import PART, Entry, Head, RecordDocument, new_identity, sha256
 from piga.output import write_whole
 from piga.records.limits import open_regular
 
-metadata = MetaData()
+metadata = sa.MetaData()
 
 STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_key=True))
 """Table with one row: the identity."""
@@ -117,7 +106,7 @@ class Database:
         self.name, self.engine, self.path = name, engine, path
 
     @contextmanager
-    def reading(self) -> Iterator[sa.Connection]:
+    def reading(self) -> Iterator[Rows]:
         """A read-only transaction on one snapshot."""
         with explained(self.name), self.engine.connect() as connection:
             if self.path is None:
@@ -125,10 +114,10 @@ class Database:
             with connection.begin():
                 if self.path is not None:
                     connection.exec_driver_sql("PRAGMA query_only=ON")
-                yield connection
+                yield Rows(connection)
 
     @contextmanager
-    def writing(self) -> Iterator[sa.Connection]:
+    def writing(self) -> Iterator[Rows]:
         """The transaction of the only writer. At its end it is committed and on disk; on any error it is rolled back."""
         with explained(self.name), self.engine.connect() as connection:
             connection.execution_options(piga_writing=True)
@@ -136,7 +125,7 @@ class Database:
                 if self.path is None:
                     connection.exec_driver_sql("SET LOCAL synchronous_commit = on")
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
-                yield connection
+                yield Rows(connection)
 
 
 @contextmanager
@@ -248,20 +237,11 @@ def new_sqlite(identity: bytes | None) -> bytes:
     """The bytes of an empty store, created in memory."""
     with closing(sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)) as memory:
         database = Database("new store", _sqlite_engine(lambda: memory, StaticPool), Path(":memory:"))
-        with database.writing() as connection:
-            connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
-            connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
-            create_tables(connection, identity)
+        with database.writing() as rows:
+            rows.connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+            rows.connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
+            rows.create(identity)
         return memory.serialize()
-
-
-def create_tables(connection: sa.Connection, identity: bytes | None) -> None:
-    """Create the tables of a new store, with its identity, its head and the version of the tables."""
-    metadata.create_all(connection)
-    document = identity or new_identity()
-    connection.execute(VERSION.insert().values(version_num=f"{SCHEMA:04d}"))
-    connection.execute(STORE.insert().values(document=document))
-    connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(document)))
 
 
 def _roll_back(uri: str) -> None:
@@ -279,25 +259,15 @@ def _roll_back(uri: str) -> None:
 
 def _check_version(database: Database) -> None:
     """Read the version of the tables before anything is written."""
-    with database.reading() as connection:
-        version = schema_version(connection)
-    if version != SCHEMA:
+    with database.reading() as rows:
+        version = rows.version()
+    if version > SCHEMA:
         raise StoreError(
-            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})"
-            if version > SCHEMA
-            else f"{database.name}: the version of its tables is missing",
-            remedy="update piga; the store was not touched" if version > SCHEMA else _DAMAGED,
+            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
+            remedy="update piga; the store was not touched",
         )
-
-
-def schema_version(connection: sa.Connection) -> int:
-    """Schema version of the store; 0 if it has none yet."""
-    if connection.dialect.name == "sqlite":
-        return int(connection.exec_driver_sql("PRAGMA user_version").scalar_one())
-    if not sa.inspect(connection).has_table(VERSION.name):
-        return 0
-    version = connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none()
-    return 0 if version is None else int(version)
+    if version != SCHEMA:
+        raise StoreError(f"{database.name}: the version of its tables is missing", remedy=_DAMAGED)
 
 
 def postgresql_database(where: str) -> Database:
@@ -321,51 +291,135 @@ def postgresql_database(where: str) -> Database:
 
 def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Database:
     database = postgresql_database(where)
-    with database.reading() as connection:
-        version = schema_version(connection)
+    with database.reading() as rows:
+        version = rows.version()
     if version == 0 and not create:
         raise StoreError(
             f"{database.name}: holds no store yet", remedy="piga records add makes a store in an empty database"
         )
     if version == 0:
-        with database.writing() as connection:
-            if schema_version(connection) == 0:
-                create_tables(connection, identity)
+        with database.writing() as rows:
+            if rows.version() == 0:
+                rows.create(identity)
     _check_version(database)
     return database
 
 
 # -- rows ----------------------------------------------------------------------------------------------
 
-_PARTS = 16
-"""Parts fetched at a time."""
+_ROWS, _PARTS = 500, 16
+"""Entries, and parts of a file, fetched at a time."""
 
 
-def as_bytes(value: object, what: str) -> bytes:
+class Rows:
+    """What a store holds, read and written within one transaction."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        self.connection = connection
+
+    def create(self, identity: bytes | None) -> None:
+        """Create the tables of a new store, with its identity, its head and the version of the tables."""
+        metadata.create_all(self.connection)
+        document = identity or new_identity()
+        self.connection.execute(VERSION.insert().values(version_num=f"{SCHEMA:04d}"))
+        self.connection.execute(STORE.insert().values(document=document))
+        self.connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(document)))
+
+    def version(self) -> int:
+        """Version of the tables; 0 if there are none yet."""
+        if self.connection.dialect.name == "sqlite":
+            return int(self.connection.exec_driver_sql("PRAGMA user_version").scalar_one())
+        if not sa.inspect(self.connection).has_table(VERSION.name):
+            return 0
+        return int(self.connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none() or 0)
+
+    def identity(self) -> bytes:
+        """The identity document."""
+        return _as_bytes(self.connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
+
+    def head(self) -> Head:
+        """Number and hash of the last entry."""
+        row = self.connection.execute(sa.select(HEAD)).one()
+        if not isinstance(row.number, int) or not isinstance(row.head, str):
+            raise StoreError("the head is damaged in the store", remedy="restore a backup")
+        return Head(row.number, row.head)
+
+    def chain(self, *conditions: sa.ColumnElement[bool]) -> Iterator[sa.Row]:
+        """The rows of the chain in order. Only a few are in memory at a time."""
+        wanted = sa.select(ENTRY).where(sa.true(), *conditions).order_by(ENTRY.c.number)
+        return iter(self.connection.execute(wanted, execution_options={"yield_per": _ROWS}))
+
+    def find(self, condition: sa.ColumnElement[bool]) -> sa.Row | None:
+        """The row of the chain for which the condition holds; None if there is none."""
+        return self.connection.execute(sa.select(ENTRY).where(condition)).first()
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order."""
+        return map(entry_of, self.chain())
+
+    def add(self, entry: Entry, record: RecordDocument) -> None:
+        """Append an entry, and make it the head."""
+        place = {"number": entry.number, "head": sha256(entry.link)}
+        texts = {"id": record.id, "serial": record.serial, "link": entry.link, "document": entry.document}
+        self.connection.execute(ENTRY.insert().values(place | texts))
+        self.connection.execute(HEAD.update().values(place))
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every stored file."""
+        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The bytes of a stored file. Each part is checked, and the whole file at the end."""
+        wanted = sa.select(BLOB.c.size, CHUNK.c.part, CHUNK.c.codec, CHUNK.c.digest, CHUNK.c.data)
+        wanted = wanted.outerjoin(CHUNK).where(BLOB.c.sha256 == name).order_by(CHUNK.c.part)
+        digest, length, size = hashlib.sha256(), 0, None
+        with self.connection.execute(wanted, execution_options={"yield_per": _PARTS}) as stored:
+            for number, row in enumerate(stored):
+                size = row.size
+                if row.part is None:  # a file without content
+                    break
+                part = _unpacked(name, row)
+                if row.part != number:
+                    raise _damaged(name)
+                digest.update(part)
+                length += len(part)
+                yield part
+        if size is None:
+            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+        if (digest.hexdigest(), length) != (name, size):
+            raise _damaged(name)
+
+    def add_file(self, name: str, size: int, parts: Iterable[bytes]) -> None:
+        """Store a file under its announced digest and size. A file that the store already has is not stored again."""
+        if self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
+            return
+        self.connection.execute(BLOB.insert().values(sha256=name, size=size))
+        digest, length = hashlib.sha256(), 0
+        for number, part in enumerate(_evenly(parts)):
+            digest.update(part)
+            length += len(part)
+            codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
+            self.connection.execute(
+                CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
+            )
+        if (digest.hexdigest(), length) != (name, size):
+            raise StoreError(
+                f"file {name[:12]}: changed while it was stored",
+                remedy="stop the program that writes it, try again",
+            )
+
+
+def entry_of(row: sa.Row) -> Entry:
+    """A row of the chain as the bytes that are hashed."""
+    what = f"record {row.number}"
+    return Entry(row.number, _as_bytes(row.link, what), _as_bytes(row.document, what))
+
+
+def _as_bytes(value: object, what: str) -> bytes:
     """The value of a column that must hold bytes."""
     if not isinstance(value, bytes | memoryview):
         raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
     return bytes(value)
-
-
-def insert_blob(connection: sa.Connection, name: str, size: int, parts: Iterable[bytes]) -> None:
-    """Store a file under its announced digest and size. A file that the store already has is not stored again."""
-    if connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
-        return
-    connection.execute(BLOB.insert().values(sha256=name, size=size))
-    digest, length = hashlib.sha256(), 0
-    for number, part in enumerate(_evenly(parts)):
-        digest.update(part)
-        length += len(part)
-        codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
-        connection.execute(
-            CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
-        )
-    if (digest.hexdigest(), length) != (name, size):
-        raise StoreError(
-            f"file {name[:12]}: changed while it was stored",
-            remedy="stop the program that writes it, try again",
-        )
 
 
 def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
@@ -380,108 +434,21 @@ def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
         yield rest
 
 
-def _parts_of_files(connection: sa.Connection, *names: str) -> Iterator[sa.Row]:
-    """Rows of the parts of these files (none named: of all), file by file and in order. A file without content has one row."""
-    wanted = sa.select(BLOB, CHUNK.c.part, CHUNK.c.codec, CHUNK.c.digest, CHUNK.c.data).outerjoin(CHUNK)
-    wanted = wanted.order_by(BLOB.c.sha256, CHUNK.c.part)
-    if names:
-        wanted = wanted.where(BLOB.c.sha256.in_(names))
-    return connection.execute(wanted, execution_options={"yield_per": _PARTS})
-
-
-def _content(name: str, rows: Iterable[sa.Row]) -> Iterator[bytes]:
-    """The bytes of a file from the rows of its parts. Each part is checked, and the whole file at the end."""
-    digest, length, size = hashlib.sha256(), 0, None
-    for number, row in enumerate(rows):
-        size = row.size
-        if row.part is None:  # a file without content
-            break
-        if row.part != number:
-            raise _damaged(name)
-        part = _unpacked(row)
-        digest.update(part)
-        length += len(part)
-        yield part
-    if size is None:
-        raise _missing(name)
-    if (digest.hexdigest(), length) != (name, size):
-        raise _damaged(name)
-
-
-def read_blob(connection: sa.Connection, name: str) -> Iterator[bytes]:
-    """The parts of a stored file."""
-    return _content(name, _parts_of_files(connection, name))
-
-
-def read_blobs(connection: sa.Connection, names: set[str]) -> dict[str, bytes]:
-    """Some small files, whole, by name. Each is checked as in :func:`read_blob`."""
-    stored = groupby(_parts_of_files(connection, *names), key=lambda row: row.sha256)
-    files = {name: b"".join(_content(name, rows)) for name, rows in stored}
-    for name in names - files.keys():
-        raise _missing(name)
-    return files
-
-
-def check_blobs(connection: sa.Connection, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
-    """The fault of each stored file; None if content and size are unchanged. ``wanted`` holds the size [bytes] by name."""
-    for name, rows in groupby(_parts_of_files(connection), key=lambda row: row.sha256):
-        if name not in wanted:
-            continue
-        try:
-            size = sum(map(len, _content(name, rows)))
-        except StoreError as error:
-            yield name, error
-        else:
-            altered = StoreError(f"file {name[:12]}: was altered", remedy="restore a backup")
-            yield name, None if size == wanted[name] else altered
-
-
-def _missing(name: str) -> StoreError:
-    return StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
-
-
-def _unpacked(row: sa.Row) -> bytes:
-    data = as_bytes(row.data, f"file {row.sha256[:12]}")
+def _unpacked(name: str, row: sa.Row) -> bytes:
+    data = _as_bytes(row.data, f"file {name[:12]}")
     if sha256(data) != row.digest or row.codec not in ("plain", "zlib"):
-        raise _damaged(row.sha256)
+        raise _damaged(name)
     if row.codec == "plain":
         return data
     unpacker = zlib.decompressobj()
     try:
         part = unpacker.decompress(data, PART)
     except zlib.error:
-        raise _damaged(row.sha256) from None
+        raise _damaged(name) from None
     if not unpacker.eof or unpacker.unused_data:
-        raise _damaged(row.sha256)
+        raise _damaged(name)
     return part
 
 
 def _damaged(name: str) -> StoreError:
     return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")
-
-
-ROWS = 200
-"""Entries fetched in one query."""
-
-
-def read_identity(connection: sa.Connection) -> bytes:
-    """The identity document."""
-    return as_bytes(connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
-
-
-def read_head(connection: sa.Connection) -> Head:
-    """Number and hash of the last entry."""
-    row = connection.execute(sa.select(HEAD)).one()
-    if not isinstance(row.number, int) or not isinstance(row.head, str):
-        raise StoreError("the head is damaged in the store", remedy="restore a backup")
-    return Head(row.number, row.head)
-
-
-def read_entries(connection: sa.Connection) -> Iterator[Entry]:
-    """The chain in order. Only a few entries are in memory at a time."""
-    wanted = sa.select(ENTRY.c.number, ENTRY.c.link, ENTRY.c.document).order_by(ENTRY.c.number).limit(ROWS)
-    number = 0
-    while rows := connection.execute(wanted.where(ENTRY.c.number > number)).all():
-        for row in rows:
-            number, what = row.number, f"record {row.number}"
-            yield Entry(number, as_bytes(row.link, what), as_bytes(row.document, what))

@@ -10,17 +10,15 @@ import json
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from piga._version import __version__
 from piga.errors import StoreError
-from piga.ledger.store.database import read_blob, read_entries, read_identity
-from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, digest_of, sha256
-from piga.ledger.store.store import Store
+from piga.ledger.store.database import Rows
+from piga.ledger.store.documents import PART, RECORD, Entry, RecordDocument, decode, sha256
 from piga.progress import Progress, report
 from piga.records.limits import open_regular
 from piga.records.text_files import JsonError, json_object
@@ -56,27 +54,34 @@ SHA-256 of one of the links: then nothing up to that link was altered since.
 """
 
 
-def write_members(store: Store, path: Path, numbers: set[int] | None, progress: Progress | None) -> None:
+def write_members(rows: Rows, path: Path, numbers: set[int] | None, progress: Progress | None) -> None:
     """Write an export: all links, and the records with the given numbers (None: all) with their files.
 
     ``progress`` gets the number of files written, and the number of all files.
     """
+    digests: dict[str, str] = {}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
-        sums = _Members(target)
-        with store.database.reading() as connection:
-            identity = read_identity(connection)
-            sums.text("README.txt", _README.encode())
-            sums.text("store.json", identity)
-            head, number, wanted = sha256(identity), 0, set()
-            for entry in read_entries(connection):
-                head, number = sha256(entry.link), entry.number
-                sums.text(f"links/{number:08d}.json", entry.link)
-                if entry.document is not None and (numbers is None or number in numbers):
-                    sums.text(f"records/{number:08d}.json", entry.document)
-                    wanted |= set(_file_names(entry.document))
-            for done, name in enumerate(sorted(wanted), start=1):
-                sums.file(name, read_blob(connection, name))
-                report(progress, done, len(wanted), "writing")
+
+        def add(name: str, data: bytes) -> None:
+            target.writestr(_member(name), data)
+            digests[name] = sha256(data)
+
+        identity = rows.identity()
+        add("README.txt", _README.encode())
+        add("store.json", identity)
+        head, number, wanted = sha256(identity), 0, set()
+        for entry in rows.entries():
+            head, number = sha256(entry.link), entry.number
+            add(f"links/{number:08d}.json", entry.link)
+            if entry.document is not None and (numbers is None or number in numbers):
+                add(f"records/{number:08d}.json", entry.document)
+                document = decode(entry.document, RecordDocument, RECORD, "record")
+                wanted |= {file.sha256 for file in document.files}
+        for done, name in enumerate(sorted(wanted), start=1):
+            with target.open(_member(f"files/{name}"), "w", force_zip64=True) as stream:
+                stream.writelines(rows.file(name))
+            digests[f"files/{name}"] = name
+            report(progress, done, len(wanted), "writing")
         manifest = {
             "schema": SCHEMA,
             "software": f"piga {__version__}",
@@ -84,29 +89,8 @@ def write_members(store: Store, path: Path, numbers: set[int] | None, progress: 
             "links": number,
             "head": head,
         }
-        sums.text("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
-        sums.text("SHA256SUMS", _listing(sums.digests))
-
-
-def _file_names(document: bytes) -> list[str]:
-    return [file.sha256 for file in decode(document, RecordDocument, RECORD, "record").files]
-
-
-class _Members:
-    """Writes members with fixed dates and permissions, and collects their digests."""
-
-    def __init__(self, target: zipfile.ZipFile) -> None:
-        self.target = target
-        self.digests: dict[str, str] = {}
-
-    def text(self, name: str, data: bytes) -> None:
-        self.target.writestr(_member(name), data)
-        self.digests[name] = sha256(data)
-
-    def file(self, digest: str, parts: Iterable[bytes]) -> None:
-        with self.target.open(_member(f"files/{digest}"), "w", force_zip64=True) as stream:
-            stream.writelines(parts)
-        self.digests[f"files/{digest}"] = digest
+        add("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+        add("SHA256SUMS", _listing(digests))
 
 
 def _listing(digests: dict[str, str]) -> bytes:
@@ -153,9 +137,7 @@ class Export:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.zip.close()
         self._stream.close()
 
@@ -181,16 +163,6 @@ class Export:
     def file(self, name: str) -> Iterator[bytes]:
         """The parts of a file; never more bytes than its stated size."""
         return self._parts(f"files/{name}")
-
-    def check_files(self, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
-        """The fault of each file, whose size is given by name; None if it is unchanged."""
-        for name, size in wanted.items():
-            try:
-                whole = digest_of(self.file(name)) == (name, size)
-            except StoreError as error:
-                yield name, error
-            else:
-                yield name, None if whole else self._damaged(f"file {name[:12]} was altered")
 
     def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
         members: dict[str, zipfile.ZipInfo] = {}

@@ -6,7 +6,7 @@ Verification checks every byte that a record is read from, and names every fault
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,27 +15,19 @@ import sqlalchemy as sa
 
 from piga.errors import CancelledError, PigaError, StoreError
 from piga.ledger.store.database import (
-    BLOB,
     ENTRY,
     HEAD,
-    ROWS,
     SCHEMA,
     STORE,
     VERSION,
-    check_blobs,
+    Rows,
     connect_sqlite,
-    create_tables,
+    entry_of,
     explained,
-    insert_blob,
     is_url,
     new_sqlite,
     open_database,
     postgresql_database,
-    read_blob,
-    read_entries,
-    read_head,
-    read_identity,
-    schema_version,
 )
 from piga.ledger.store.documents import (
     IDENTITY,
@@ -49,6 +41,7 @@ from piga.ledger.store.documents import (
     TakenOver,
     checked_text,
     decode,
+    digest_of,
     encode,
     is_digest,
     sha256,
@@ -58,6 +51,8 @@ from piga.ledger.store.store import Store
 from piga.output import write_whole
 from piga.progress import Progress, report
 
+_Source = Rows | Export
+"""What holds a chain: a store, or an export of one."""
 _MAX_PROBLEMS = 100
 
 
@@ -81,37 +76,6 @@ class Verification:
         """Add a problem. Only the first hundred are kept."""
         if len(self.problems) < _MAX_PROBLEMS:
             self.problems.append(text)
-
-
-class StoreSource:
-    """The rows of a store, on one snapshot."""
-
-    def __init__(self, connection: sa.Connection) -> None:
-        self.connection = connection
-
-    def identity(self) -> bytes:
-        """The identity document."""
-        return read_identity(self.connection)
-
-    def entries(self) -> Iterator[Entry]:
-        """The chain in order."""
-        return read_entries(self.connection)
-
-    def file_names(self) -> set[str]:
-        """SHA-256 of every stored file."""
-        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
-
-    def file(self, name: str) -> Iterator[bytes]:
-        """The parts of a stored file."""
-        return read_blob(self.connection, name)
-
-    def check_files(self, wanted: dict[str, int]) -> Iterator[tuple[str, StoreError | None]]:
-        """The fault of each stored file, whose size is given by name."""
-        return check_blobs(self.connection, wanted)
-
-
-_Source = StoreSource | Export
-"""The source of a chain."""
 
 
 def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | None = None) -> Verification:
@@ -152,11 +116,11 @@ def _verify_store(
 ) -> None:
     with Store(open_database(where)) as store:
         result.name = store.name
-        with store.database.reading() as connection:
-            if connection.dialect.name == "sqlite":
-                _check_sqlite(result, connection)
-            check_chain(result, StoreSource(connection), heads, progress)
-            _check_columns(result, connection)
+        with store.database.reading() as rows:
+            if rows.connection.dialect.name == "sqlite":
+                _check_sqlite(result, rows.connection)
+            check_chain(result, rows, heads, progress)
+            _check_columns(result, rows)
 
 
 def check_chain(
@@ -229,33 +193,31 @@ def _check_files(
     for name in sorted(there - wanted.keys()):
         result.problem(f"file {str(name)[:12]}: belongs to no record")
     both = sorted(wanted.keys() & there)
-    for _, error in source.check_files({name: wanted[name] for name in both}):
-        if error is not None:
+    for name in both:
+        try:
+            if digest_of(source.file(name)) != (name, wanted[name]):
+                result.problem(f"file {name[:12]}: was altered")
+        except StoreError as error:
             result.problem(error.message)
         result.files += 1
         report(progress, result.files, len(both), "checking")
 
 
-def _check_columns(result: Verification, connection: sa.Connection) -> None:
+def _check_columns(result: Verification, rows: Rows) -> None:
     """Check that the look-up columns agree with the documents and that there are no surplus rows."""
-    last = Head(0, sha256(read_identity(connection)))
-    entries = connection.execute(
-        sa.select(ENTRY).order_by(ENTRY.c.number), execution_options={"yield_per": ROWS}
-    )
-    for row in entries:
+    last = Head(0, sha256(rows.identity()))
+    for row in rows.chain():
         document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
         if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
             result.problem(f"record {row.number}: the table's columns do not fit the record")
         last = Head(row.number, sha256(row.link))
-    if read_head(connection) != last:
+    if rows.head() != last:
         result.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
     for table in (STORE, HEAD, VERSION):
-        if connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
+        if rows.connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
             result.problem(f"table {table.name}: one row is needed")
-    if (
-        schema_version(connection) != SCHEMA
-        or connection.execute(sa.select(VERSION.c.version_num)).scalar() != f"{SCHEMA:04d}"
-    ):
+    stated = rows.connection.execute(sa.select(VERSION.c.version_num)).scalar()
+    if (rows.version(), stated) != (SCHEMA, f"{SCHEMA:04d}"):
         result.problem("the version of the tables was altered")
 
 
@@ -290,15 +252,55 @@ def export_records(
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
 
+    def write(part: Path) -> None:
+        with store.database.reading() as rows:
+            write_members(rows, part, numbers, lambda done, of, what: report(progress, done, 2 * of, what))
+
+    return _read_back(
+        store, target, write, replace, lambda done, of, what: report(progress, of + done, 2 * of, what)
+    )
+
+
+def backup(
+    store: Store, target: Path, *, replace: bool = False, progress: Progress | None = None
+) -> Verification:
+    """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
+
+    Raises
+    ------
+    StoreError
+        If the store is damaged or the copy cannot be written. No file is left then.
+    """
+    path = store.database.path
+    if path is None:
+        return export_records(store, target, replace=replace, progress=progress)
+
+    def copy(part: Path) -> None:
+        uri = f"{path.resolve().as_uri()}?mode=ro"
+        with (
+            explained(str(target)),
+            closing(connect_sqlite(uri)) as source,
+            closing(sqlite3.connect(part)) as copied,
+        ):
+            copied.execute("PRAGMA journal_mode=OFF")
+            source.backup(copied)
+
+    return _read_back(store, target, copy, replace, progress)
+
+
+def _read_back(
+    store: Store, target: Path, write: Callable[[Path], None], replace: bool, progress: Progress | None
+) -> Verification:
+    """Write a file, and verify it before it gets its name."""
     result = Verification("")
 
-    def write(part: Path) -> None:
+    def written(part: Path) -> None:
         nonlocal result
-        write_members(store, part, numbers, lambda done, of, what: report(progress, done, 2 * of, what))
-        result = verify(part, progress=lambda done, of, what: report(progress, of + done, 2 * of, what))
+        write(part)
+        result = verify(part, progress=progress)
         _refuse_unsound(result, store.name)
 
-    write_whole(target, write, replace=replace, kind=StoreError)
+    write_whole(target, written, replace=replace, kind=StoreError)
     result.name = str(target)
     return result
 
@@ -326,65 +328,33 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
         _refuse_unsound(checked, export.name)
         identity = export.identity().decode()
         added = []
-        with store.database.writing() as connection:
+        with store.database.writing() as rows:
             for entry in export.entries():
-                if entry.document is None or _has(connection, entry.document):
+                if entry.document is None or _has(rows, entry.document):
                     continue
                 link = decode(entry.link, Link, LINK, f"link {entry.number}")
                 origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
+                document = _copy_files(rows, export, entry.document)
+                _refuse_unfit(store, rows, entry.document, document, export.name)
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
-                document = _copy_files(connection, export, entry.document)
-                _refuse_unfit(store, connection, entry.document, document, export.name)
-                store.insert(connection, entry.document, None, taken_over=taken_over)
+                store.insert(rows, entry.document, taken_over=taken_over)
                 added.append(document.id)
         return added
 
 
-def _refuse_unfit(
-    store: Store, connection: sa.Connection, raw: bytes, document: RecordDocument, name: str
-) -> None:
+def _refuse_unfit(store: Store, rows: Rows, raw: bytes, document: RecordDocument, name: str) -> None:
     """Refuse records that ``add`` would not have written."""
     try:
         if encode(document) != raw:
             raise StoreError(
                 "it is not written as piga writes records", remedy="ask its laboratory for a new export"
             )
-        store.check(connection, document)
+        store.check(rows, document)
     except PigaError as error:
         raise StoreError(
             f"{name}: record {document.id[:20]!r} (number {document.number} there) cannot be taken over: {error.message}",
             remedy="nothing was imported: ask its laboratory for an export without it (--record)",
         ) from None
-
-
-def backup(
-    store: Store, target: Path, *, replace: bool = False, progress: Progress | None = None
-) -> Verification:
-    """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
-
-    Raises
-    ------
-    StoreError
-        If the store is damaged or the copy cannot be written. No file is left then.
-    """
-    result = Verification("")
-
-    def copy(part: Path) -> None:
-        nonlocal result
-        assert store.database.path is not None  # noqa: S101 - a PostgreSQL store is exported
-        with explained(str(target)):
-            source = connect_sqlite(f"{store.database.path.resolve().as_uri()}?mode=ro")
-            with closing(source), closing(sqlite3.connect(part)) as copied:
-                copied.execute("PRAGMA journal_mode=OFF")
-                source.backup(copied)
-        result = verify(part, progress=progress)
-        _refuse_unsound(result, store.name)
-
-    if store.database.path is None:
-        return export_records(store, target, replace=replace, progress=progress)
-    write_whole(target, copy, replace=replace, kind=StoreError)
-    result.name = str(target)
-    return result
 
 
 def restore(source: Path, target: str | Path) -> Verification:
@@ -401,31 +371,31 @@ def restore(source: Path, target: str | Path) -> Verification:
             origin: _Source = stack.enter_context(Export(source))
         else:
             old = stack.enter_context(Store(open_database(source)))
-            origin = StoreSource(stack.enter_context(old.database.reading()))
-        if is_url(target):
-            store = stack.enter_context(Store(postgresql_database(str(target))))
-            with store.database.writing() as connection:
-                if schema_version(connection) != 0:
+            origin = stack.enter_context(old.database.reading())
+
+        def fill(store: Store, create: bool) -> None:
+            with store, store.database.writing() as rows:
+                if create and rows.version() != 0:
                     raise StoreError(
                         f"{store.name}: there is a store already", remedy="restore into an empty database"
                     )
-                create_tables(connection, origin.identity())
-                _copy_chain(store, connection, origin, result)
+                if create:
+                    rows.create(origin.identity())
+                _copy_chain(store, rows, origin, result)
+
+        def write(part: Path) -> None:
+            part.write_bytes(new_sqlite(origin.identity()))
+            fill(Store(open_database(part)), create=False)
+
+        if is_url(target):
+            fill(Store(postgresql_database(str(target))), create=True)
         else:
-            write_whole(
-                Path(target), lambda part: _restore_sqlite(origin, part, result), replace=False, kind=StoreError
-            )
+            write_whole(Path(target), write, replace=False, kind=StoreError)
     result.name = str(target)
     return result
 
 
-def _restore_sqlite(origin: _Source, part: Path, result: Verification) -> None:
-    part.write_bytes(new_sqlite(origin.identity()))
-    with Store(open_database(part)) as store, store.database.writing() as connection:
-        _copy_chain(store, connection, origin, result)
-
-
-def _copy_chain(store: Store, connection: sa.Connection, origin: _Source, result: Verification) -> None:
+def _copy_chain(store: Store, rows: Rows, origin: _Source, result: Verification) -> None:
     """Copy a chain into an empty store, and check what was written before it is committed."""
     for entry in origin.entries():
         if entry.document is None:
@@ -433,26 +403,23 @@ def _copy_chain(store: Store, connection: sa.Connection, origin: _Source, result
                 f"the export lacks record {entry.number}",
                 remedy="restore from a backup, or import what is there",
             )
-        _copy_files(connection, origin, entry.document)
-        store.insert(connection, entry.document, entry.link)
-    check_chain(result, StoreSource(connection))
+        _copy_files(rows, origin, entry.document)
+        store.insert(rows, entry.document, entry.link)
+    check_chain(result, rows)
     _refuse_unsound(result, result.name)
 
 
-def _copy_files(connection: sa.Connection, origin: _Source, raw: bytes) -> RecordDocument:
+def _copy_files(rows: Rows, origin: _Source, raw: bytes) -> RecordDocument:
     document = decode(raw, RecordDocument, RECORD, "record")
     for file in document.files:
-        parts: Iterator[bytes] = origin.file(file.sha256)
-        insert_blob(connection, file.sha256, file.size, parts)
+        rows.add_file(file.sha256, file.size, origin.file(file.sha256))
     return document
 
 
-def _has(connection: sa.Connection, raw: bytes) -> bool:
+def _has(rows: Rows, raw: bytes) -> bool:
     document = decode(raw, RecordDocument, RECORD, "record")
-    there = connection.execute(
-        sa.select(ENTRY.c.document).where(ENTRY.c.id == document.id)
-    ).scalar_one_or_none()
-    if there is not None and sha256(bytes(there)) != sha256(raw):
+    there = rows.find(ENTRY.c.id == document.id)
+    if there is not None and entry_of(there).document != raw:
         raise StoreError(
             f"record {document.id} is in the store already, with other content",
             remedy="one of the two was changed: run piga records verify on both",
