@@ -18,8 +18,9 @@ from piga.data import example_files
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient
 from piga.records.terms import meaning_of, shown_unit
-from piga.reports.calibration.budget import DESCRIBED, budget_table
 from piga.reports.calibration.tables import (
+    DESCRIBED,
+    budget_table,
     common_coefficients,
     correlation_table,
     factor,

@@ -7,10 +7,9 @@ import pytest
 
 from piga.calibration.orders import residual_angles
 from piga.records.calibration import Amount
-from piga.reports.calibration.budget import budget_tables
 from piga.reports.calibration.figures import calibration_figures
 from piga.reports.calibration.page import page as calibration_page
-from piga.reports.calibration.tables import residual_quantity
+from piga.reports.calibration.tables import budget_tables, residual_quantity
 from piga.reports.render.numbers import ascii_text
 from piga.reports.render.page import Table, page_html
 from tests.reports.example import calibration

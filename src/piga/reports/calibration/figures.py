@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.orders import (
     OrderSpectrum,
-    Ripple,
     order_spectrum,
     residual_angles,
     ripple,
@@ -21,9 +20,8 @@ from piga.calibration.residuals import add_lagged_products
 from piga.noise.deviations import allan_deviation
 from piga.records.calibration import Calibration, Residuals
 from piga.records.calibration.verdict import COUNTED
-from piga.records.terms import GYRO, shown_output, shown_unit
-from piga.reports.calibration.budget import budget_shares
-from piga.reports.calibration.tables import residual_quantity, scale_factor, shown_segments
+from piga.records.terms import shown_output, shown_unit
+from piga.reports.calibration.tables import budget_shares, residual_quantity, scale_factor, shown_segments
 from piga.reports.render.envelope import POINTS, leading_part, outline, rows_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role, Series, named_axis
 from piga.reports.render.numbers import pretty_unit
@@ -43,61 +41,60 @@ _COUNTED_NOTE = (
 """Why whitened residuals of a counted output are not normal."""
 
 
-def calibration_figures(cal: Calibration) -> dict[str, Figure]:
-    """All figures that this calibration has the data for, by name and in reading order.
+def figures_of(cal: Calibration) -> dict[str, Callable[[], Figure | None]]:
+    """Functions that make the figures, by name. None, or no function: the calibration has no data for the figure.
 
     Without ``cal.residuals`` (a calibration read back from JSON) those of the residuals are missing.
     """
-    figures: dict[str, Figure | None] = {}
-    if cal.residuals is not None and cal.residuals.t.size:
-        part = leading_part(cal.residuals)
-        if cal.runs:
-            figures |= _run_figures(cal)
-        else:
-            figures["residuals"] = residual_figure(cal.residuals, residual_quantity(cal))
-        verdict = cal.diagnostics.verdict
-        figures["whiteness"] = _whiteness_figure(part, verdict) if np.isfinite(part.innovation).any() else None
-        angles = residual_angles(part, cal.diagnostics.residual_kind)
-        noise, single = (cal.angle_rms, cal.angle_random_walk), shown_segments(cal)
-        figures["allan"] = None if cal.runs else _allan_figure(angles, noise, single, cal.unit)
-    if cal.residuals is not None and cal.residuals.t.size and not cal.direct:
-        spectrum, turned = order_spectrum(angles, scale_factor(cal), noise), ripple(angles, scale_factor(cal))
-        figures["orders"] = spectrum_figure(spectrum, cal, single) if spectrum.segments else None
-        figures["ripple"] = _ripple_figure(turned) if turned.segments else None
-    figures["segments"] = segment_figure(cal) if len(cal.segments) > 1 else None
-    figures["creep"] = creep_figure(cal)
-    figures["outliers"] = _outlier_figure(cal)
-    figures["convergence"] = convergence_figure(cal)
-    return {name: figure for name, figure in figures.items() if figure is not None}
+    made: dict[str, Callable[[], Figure | None]] = {
+        "segments": partial(segment_figure, cal),
+        "creep": partial(creep_figure, cal),
+        "budget": partial(budget_figure, cal),
+        "outliers": partial(_outlier_figure, cal),
+        "convergence": partial(convergence_figure, cal),
+    }
+    if cal.residuals is None or not cal.residuals.t.size:
+        return made
+    part = leading_part(cal.residuals)
+    angles = residual_angles(part, cal.diagnostics.residual_kind)
+    runs = tuple(run.name for run in cal.runs)
+    made["residuals"] = partial(residual_figure, cal.residuals, residual_quantity(cal), runs)
+    made["whiteness"] = partial(_whiteness_figure, part, cal.diagnostics.verdict)
+    if not runs:
+        made["allan"] = partial(_allan_figure, cal, angles)
+    if not cal.direct:
+        made |= {"orders": partial(_order_figure, cal, angles), "ripple": partial(_ripple_figure, cal, angles)}
+    return made
+
+
+def calibration_figures(cal: Calibration) -> dict[str, Figure]:
+    """All figures that this calibration has the data for, by name."""
+    made = {name: make() for name, make in figures_of(cal).items()}
+    return {name: figure for name, figure in made.items() if figure is not None}
 
 
 # -- residuals against time ----------------------------------------------------------------------------
 
 
 def residual_figure(
-    residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec"), key: str = "residual-time"
+    residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec"), runs: Sequence[str] = ()
 ) -> Figure:
-    """Residual (``quantity``: what and in which unit) against time, before and after."""
+    """Residual (``quantity``: what and in which unit) against time, before and after; two panels for each of the ``runs``."""
     per, shown = shown_output(residuals.unit)
     quantity = quantity if per == ARCSEC else ("residual output", shown)
-    residuals = outline(residuals)
-    t = elapsed_time(residuals)
-    unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
-    single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
-    ends = _ends(t, residuals)[: 0 if single else None]
-    kept, gaps = np.insert(np.arange(t.size), ends, ends - 1), ends + np.arange(ends.size)
-    segments = np.asarray(residuals.segment)[kept]
-    plot = Plot(key, f"{quantity[0].capitalize()} against time.", height=2.1)
-    both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
-    for role, values in both:
-        y = np.asarray(values)[kept] / per
-        y[gaps] = np.nan
-        plot.panel(f"elapsed time [{unit}]", Axis(*quantity), role.capitalize())
-        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", segments=segments)
+    title = f"{quantity[0].capitalize()} against time."
+    plot = Plot("residual-time", title, columns=2 if runs else 1, height=2.1)
+    parts = [("", residuals)]
+    if residuals.run is not None:
+        parts = [
+            (f"{name}, ", rows_of(residuals, np.flatnonzero(residuals.run == k))) for k, name in enumerate(runs)
+        ]
+    notes = tuple(
+        note for name, part in parts if part.t.size for note in _draw_residuals(plot, name, part, quantity, per)
+    )
     before = "Before: measured output less K a_x with the nominal K."
     if per == ARCSEC:
         before = "Before: measured angle less the nominal model without cross-coupling."
-    notes = () if kept.size <= POINTS else (_outline_note(residuals),)
     return plot.caption(
         f"{before} After: less the fitted model. The scales differ. Good: a band of noise around zero, without waves, steps or "
         "trends.",
@@ -105,18 +102,31 @@ def residual_figure(
     )
 
 
-def _run_figures(cal: Calibration) -> dict[str, Figure]:
-    residuals = cal.residuals
-    if residuals is None or residuals.run is None:
-        return {}
-    figures = {}
-    for index, run in enumerate(cal.runs):
-        rows = np.flatnonzero(residuals.run == index)
-        if rows.size:
-            part = rows_of(residuals, rows)
-            figure = residual_figure(part, residual_quantity(cal), f"residual-time-{index}")
-            figures[f"residuals of run {run.name}"] = replace(figure, title=f"Run {run.name}: {figure.title}")
-    return figures
+def _draw_residuals(
+    plot: Plot, name: str, residuals: Residuals, quantity: tuple[str, str], per: float
+) -> Iterator[str]:
+    """Draw before and after, broken between segments and at holes of more than ten usual steps. Yields a note on a long record."""
+    residuals = outline(residuals)
+    t = elapsed_time(residuals)
+    unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
+    single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
+    steps = np.diff(t)
+    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps) if steps.size else False)
+    ends = 1 + np.flatnonzero(starts)[: 0 if single else None]
+    kept, gaps = np.insert(np.arange(t.size), ends, ends - 1), ends + np.arange(ends.size)
+    segments = np.asarray(residuals.segment)[kept]
+    both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
+    for role, values in both:
+        y = np.asarray(values)[kept] / per
+        y[gaps] = np.nan
+        plot.panel(f"elapsed time [{unit}]", Axis(*quantity), f"{name}{role}" if name else role.capitalize())
+        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", segments=segments)
+    if kept.size > POINTS:
+        rows = max(int(np.ptp(residuals.row)) + 1, residuals.t.size)
+        yield (
+            f"Drawn of {rows} rows: the lowest and the highest of each stretch of time. Zooming in shows the same points; "
+            "residuals.parquet holds all rows."
+        )
 
 
 def elapsed_time(residuals: Residuals) -> Array:
@@ -130,31 +140,18 @@ def elapsed_time(residuals: Residuals) -> Array:
     return t - t[0]
 
 
-def _ends(t: Array, residuals: Residuals) -> NDArray[np.int64]:
-    """Rows where a curve starts anew: at the next segment, or after a hole of more than ten usual steps."""
-    steps = np.diff(t)
-    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps) if steps.size else False)
-    return 1 + np.flatnonzero(starts)
-
-
-def _outline_note(residuals: Residuals) -> str:
-    """What a curve shows of a long record."""
-    rows = max(int(np.ptp(residuals.row)) + 1, residuals.t.size)
-    return (
-        f"Drawn of {rows} rows: the lowest and the highest of each stretch of time. Zooming in shows the same points; "
-        "residuals.parquet holds all rows."
-    )
-
-
 # -- residuals against rotation ------------------------------------------------------------------------
 
 
-def spectrum_figure(
-    spectrum: OrderSpectrum, cal: Calibration | None = None, single: Sequence[int] = ()
-) -> Figure:
-    """Ripple amplitude against revolution order. Each of the segments ``single`` gets a curve of its own.
+def _order_figure(cal: Calibration, angles: Residuals) -> Figure | None:
+    spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
+    return spectrum_figure(spectrum, cal) if spectrum.segments else None
 
-    Lines above the noise are named in the notes; ``cal`` names their segments.
+
+def spectrum_figure(spectrum: OrderSpectrum, cal: Calibration | None = None) -> Figure:
+    """Ripple amplitude against revolution order. Lines above the noise are named in the notes.
+
+    ``cal`` names their segments; each of its segments gets a curve of its own.
     """
     order = spectrum.order
     plot = Plot(
@@ -166,6 +163,7 @@ def spectrum_figure(
     if np.any(spectrum.counts > 0.0):
         shown = np.where(spectrum.counts > spectrum.noise, spectrum.counts, np.nan)
         plot.marked(order, shown / MICRO_G, "expected of whole counts, where above the noise", "warning")
+    single = shown_segments(cal) if cal is not None else []
     for index, after in spectrum.single:
         if index in single:
             plot.of_segment(index, Series(order, after / MICRO_G, role="reference"))
@@ -189,8 +187,11 @@ def _order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
     return lines
 
 
-def _ripple_figure(turned: Ripple) -> Figure:
+def _ripple_figure(cal: Calibration, angles: Residuals) -> Figure | None:
     """Ripple against output angle, before and after, each on its own scale."""
+    turned = ripple(angles, scale_factor(cal))
+    if not turned.segments:
+        return None
     plot = Plot("ripple", "Ripple in one turn of the output.", columns=2, height=2.7)
     angle = Axis("output angle ψ", "deg", limits=(0.0, 360.0))
     scatter = turned.scatter / MICRO_G if np.isfinite(turned.scatter).all() and turned.scatter.size else None
@@ -216,16 +217,13 @@ def _segments_that_turn(number: int) -> str:
 # -- noise ---------------------------------------------------------------------------------------------
 
 
-def _allan_figure(
-    residuals: Residuals, noise: tuple[float, float], single: Sequence[int] = (), unit: str = GYRO
-) -> Figure | None:
+def _allan_figure(cal: Calibration, residuals: Residuals) -> Figure | None:
     """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift for comparison.
 
-    ``residuals`` are angles [rad]; ``noise`` is the white angle noise [rad] and the random walk [rad/sqrt(s)]. Each of
-    the segments ``single`` gets a curve of its own, from its own samples. ``unit`` is that of the output rate.
+    ``residuals`` are angles [rad]. Each segment gets a curve of its own, from its own samples.
     """
-    per, shown = shown_output(unit)
-    white, walk = noise[0] ** 2, noise[1] ** 2
+    per, shown = shown_output(cal.unit)
+    white, walk = cal.angle_rms**2, cal.angle_random_walk**2
     after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
     levels = {2: 3.0 * white, 0: walk}
     deviation = allan_deviation(after, time, begins, noise=levels)
@@ -250,6 +248,7 @@ def _allan_figure(
     if walk > 0.0:
         plot.dashed(tau, wander, "random walk", "y")
     plot.dashed(tau[near], drift[near], "slope of a drift", "warning")
+    single = shown_segments(cal)
     for part in segment_slices(residuals.segment):
         index = int(residuals.segment[part.start])
         if index in single:
@@ -272,15 +271,19 @@ def _begins(residuals: Residuals) -> NDArray[np.bool_]:
     return begins
 
 
-def _whiteness_figure(residuals: Residuals, verdict: str | None = None) -> Figure:
+def _whiteness_figure(residuals: Residuals, verdict: str | None) -> Figure | None:
     """Distribution and autocorrelation of the whitened residuals; ``verdict``: that of the tests of them."""
     innovation = np.asarray(residuals.innovation, dtype=float)
     innovation = innovation[np.isfinite(innovation)]
+    if not innovation.size:
+        return None
     density, edges = np.histogram(innovation, bins=50, range=(-5.0, 5.0), density=True)
     centre = 0.5 * (edges[1:] + edges[:-1])
     normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
-    lags, correlation = _autocorrelation(innovation, _LAGS)
-    bound = np.full(lags.size, 1.96 / math.sqrt(max(innovation.size, 1)))
+    products = np.zeros(min(_LAGS, max(innovation.size - 2, 0)) + 1)
+    add_lagged_products(innovation - innovation.mean(), products)
+    lags, correlation = np.arange(1.0, products.size), products[1:] / (products[0] or 1.0)
+    bound = np.full(lags.size, 1.96 / math.sqrt(innovation.size))
     plot = Plot("whiteness", "Whitened residuals.", columns=2, height=2.6)
     plot.panel("whitened residual", "density", "Distribution")
     plot.line(centre, density, "found", "after", mark="steps")
@@ -296,20 +299,13 @@ def _whiteness_figure(residuals: Residuals, verdict: str | None = None) -> Figur
     )
 
 
-def _autocorrelation(values: Array, lags: int) -> tuple[Array, Array]:
-    """Autocorrelation of ``values`` at lags 1 to ``lags``."""
-    lags = min(lags, max(values.size - 2, 0))
-    centred = values - values.mean() if values.size else values
-    products = np.zeros(lags + 1)
-    add_lagged_products(centred, products)
-    return np.arange(1.0, lags + 1.0), products[1:] / (products[0] or 1.0)
-
-
 # -- segments, budget, outliers, convergence -----------------------------------------------------------
 
 
-def segment_figure(cal: Calibration) -> Figure:
-    """Residual rms of each segment against its mean specific force."""
+def segment_figure(cal: Calibration) -> Figure | None:
+    """Residual rms of each segment against its mean specific force; None for a single segment."""
+    if len(cal.segments) < 2:
+        return None
     a_x = np.array([segment.mean_a_x for segment in cal.segments]) / G0
     rows = np.argsort(a_x, kind="stable")
     labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
@@ -348,9 +344,9 @@ def creep_figure(cal: Calibration) -> Figure | None:
 
 
 def budget_figure(cal: Calibration) -> Figure | None:
-    """Share of each source in the variance of each coefficient; None without a coefficient of the instrument."""
+    """Share of each source in the variance of each coefficient; None without a budget of several sources."""
     keys, shares = budget_shares(cal)
-    if not keys:
+    if len(cal.budget) < 2 or not keys:
         return None
     number = np.arange(1, len(keys) + 1)
     largest = sorted(shares, key=lambda source: -max(shares[source]))[:_MOST_SOURCES]

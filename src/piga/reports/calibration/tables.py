@@ -1,31 +1,30 @@
-"""Tables of a calibration: coefficients, correlation, budget, segments, quality, diagnostics, provenance."""
+"""Tables of a calibration: coefficients, correlation, budget, segments, quality, diagnostics, comparison of term sets."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from piga.records.calibration import Calibration, Coefficient, Quality
+from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient, Quality
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
 from piga.reports.render.numbers import Rounded, count, fixed, pretty_unit, relative, rounded, short, signed
-from piga.reports.render.page import Cell, Judgement, Section, Table, TableOf, Text, Tone, named_values
+from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone, named_values
 from piga.units import ARCSEC, G0, MICRO_G
 
-_SEGMENTS, _OUTLIERS, _LEVERAGE = 60, 30, 24
-"""Most segments, outliers and segments by their leverage that have a row."""
-COEFFICIENTS = 14
-"""Most coefficients with columns in a table."""
+_SEGMENTS, _OUTLIERS, _LEVERAGE, _COEFFICIENTS = 60, 30, 24, 14
+"""Most segments, outliers and segments by their leverage that have a row; most coefficients with columns in a table."""
 _MANY = 1000
 """Above this number, degrees of freedom are shown as ``> 1000``."""
-ACROSS, SHORT_ACROSS = 4, 6
+_ACROSS, _SHORT_ACROSS = 4, 6
 """Coefficients beside each other in a table of the page, so that they fit the screen and A4; in one of short numbers."""
-NEGLIGIBLE = 1e-3
+_NEGLIGIBLE = 1e-3
 """Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the variance)."""
 _SELECTABLE = 1000
 """Most segments of a page on which the reader can select one."""
@@ -54,6 +53,10 @@ def sentence(text: str) -> str:
 def common_coefficients(cal: Calibration) -> list[Coefficient]:
     """Coefficients of the instrument and of whole runs (phases of single segments stand in the segment table)."""
     return [coefficient for coefficient in cal.coefficients if coefficient.segment is None]
+
+
+def _shown_coefficients(cal: Calibration) -> list[Coefficient]:
+    return common_coefficients(cal)[:_COEFFICIENTS]
 
 
 def scale_factor(cal: Calibration) -> float:
@@ -156,28 +159,23 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
 
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
-    common = [row for row, coefficient in enumerate(cal.coefficients) if coefficient.segment is None]
-    index = common[:COEFFICIENTS]
+    index = [row for row, c in enumerate(cal.coefficients) if c.segment is None][:_COEFFICIENTS]
     if len(index) < 2:
         return None
     covariance = np.asarray(cal.covariance, dtype=float)[np.ix_(index, index)]
     std = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         matrix = covariance / np.outer(std, std)
-    names = [cal.coefficients[row].key for row in index]
-    rows = range(len(names))
-    return (
-        TableOf(rows)
-        .text("", lambda i: names[i])
-        .across(rows, lambda j: names[j], lambda i, j: _correlation(matrix[i, j], i == j))
-        .table(upright=True)
-    )
 
+    def cell(i: int, j: int) -> Cell:
+        if i == j:
+            return Cell("1", "quiet")
+        value = float(matrix[i, j])
+        return Cell(signed(value, 2), heat=value) if math.isfinite(value) else Cell("–")
 
-def _correlation(value: float, diagonal: bool) -> Cell:
-    if diagonal:
-        return Cell("1", "quiet")
-    return Cell(signed(value, 2), heat=value) if math.isfinite(value) else Cell("–")
+    names, rows = [cal.coefficients[row].key for row in index], range(len(index))
+    table = TableOf(rows).text("", lambda i: names[i]).across(rows, lambda j: names[j], cell)
+    return table.table(upright=True)
 
 
 def residual_quantity(cal: Calibration) -> tuple[str, str]:
@@ -298,66 +296,6 @@ def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
     return named_values("Item", "Value", rows, code=code)
 
 
-_LABELS = {
-    "residual_kind": "Residuals are those of the",
-    "samples": "Whitened residuals",
-    "variance": "Variance of the whitened residuals",
-    "lag1_correlation": "Correlation of neighbours",
-    "ljung_box": "Ljung-Box statistic",
-    "ljung_box_lags": "Lags of the Ljung-Box test",
-    "ljung_box_probability": "Probability of the Ljung-Box test",
-    "counting_probability": "Probability of correlations as far from those of whole counts",
-    "skewness": "Skewness",
-    "excess_kurtosis": "Excess kurtosis",
-    "verdict": "Whitened residuals are",
-    "segment_scatter_ratio": "Scatter of the segments over what all noise explains",
-    "segment_scatter_ratio_without_it": "Scatter of the segments over what the noise of the output explains",
-    "segment_scatter_g": "Scatter of the segments, g",
-    "noise_given": "noise levels given",
-    "per_run": "terms of single runs",
-}
-"""Entries of diagnostics and options in words."""
-_RANGES = {
-    "a_x": ("axial specific force", "m/s²"),
-    "a_t": ("transverse specific force", "m/s²"),
-    "temperature": ("temperature", "K"),
-}
-
-
-def _range_row(name: str, ends: Any) -> tuple[str, str]:
-    words, unit = _RANGES.get(name, (name, ""))
-    low, high = (short(float(end), 4) for end in ends)
-    return f"Range of the {words}", f"{low} to {high} {unit}".rstrip()
-
-
-def scalars(document: dict[str, Any]) -> list[tuple[str, str]]:
-    """Plain entries of a free-form dictionary, for a facts table; nested entries get dotted names."""
-    rows: list[tuple[str, str]] = []
-    for name, value in document.items():
-        key = _LABELS.get(name, name)
-        if name == "range" and isinstance(value, dict):
-            rows += [_range_row(what, ends) for what, ends in value.items()]
-        elif isinstance(value, dict):
-            rows += [(f"{key}.{inner}", text) for inner, text in scalars(value)]
-        elif isinstance(value, float):
-            rows.append((key, short(value, 4)))
-        elif isinstance(value, (str, int)):
-            rows.append((key, str(value)))
-        elif isinstance(value, (list, tuple)) and len(value) <= COEFFICIENTS:
-            rows.append((key, ", ".join(str(item) for item in value)))
-    return rows
-
-
-OWN_TABLES = frozenset({"leverage", "monte_carlo", "missing_terms", "advice", "model_comparison", "creep"})
-"""Diagnostics that are shown as tables or remarks of their own."""
-LEVERAGE_LEAD = (
-    "Leverage: the share of each coefficient's information that one segment holds, and in brackets how many standard "
-    "uncertainties the coefficient changes without it. Good: no share above 90 %, no change above 3."
-)
-PROPAGATION_LEAD = (
-    "First order (GUM) against Monte Carlo (JCGM 101, clause 8): 95 % intervals both ways. Good: they agree within the "
-    "numerical tolerance; otherwise the Monte Carlo interval is the result."
-)
 _ALONE, _SHIFT = 0.9, 3.0
 
 
@@ -366,28 +304,25 @@ def leverage_tables(cal: Calibration) -> tuple[Table, ...]:
     leverage = cal.diagnostics.leverage
     if not leverage:
         return ()
+
+    def share(label: str, name: str) -> Cell:
+        held, shift = leverage[label].share.get(name), leverage[label].shift.get(name)
+        if held is None:
+            return Cell("–", "quiet")
+        moved = signed(shift, 1) if shift is not None else "not determined" if held else ""
+        bad = held > _ALONE or (shift is not None and abs(shift) > _SHIFT)
+        return Cell(f"{100.0 * held:.0f} %" + (f" ({moved})" if moved else ""), "doubtful" if bad else "")
+
     most = sorted(leverage, key=lambda label: -leverage[label].leverage)[:_LEVERAGE]
     labels = [segment.label for segment in cal.segments]
     chosen = [label for label in leverage if label in most]
     table = TableOf(chosen).text("Segment", str)
     table.number("Leverage", lambda label: f"{leverage[label].leverage:.2f}")
-    names = [c.name for c in common_coefficients(cal)]
-    table.across(
-        names, str, lambda label, name: _share(leverage[label].share.get(name), leverage[label].shift.get(name))
-    )
+    table.across([c.name for c in common_coefficients(cal)], str, share)
     more = f"The {_LEVERAGE} of {len(leverage)} segments with the most leverage."
     at = tuple(labels.index(label) if labels.count(label) == 1 else None for label in chosen)
     whole = table.table(notes=(more,) if len(leverage) > _LEVERAGE else (), segments=at)
-    return whole.parts(2, SHORT_ACROSS)
-
-
-def _share(share: float | None, shift: float | None) -> Cell:
-    if share is None:
-        return Cell("–", "quiet")
-    moved = "not determined" if shift is None and share else "" if shift is None else signed(shift, 1)
-    bad = share > _ALONE or (shift is not None and abs(shift) > _SHIFT)
-    text = f"{100.0 * share:.0f} %" + (f" ({moved})" if moved else "")
-    return Cell(text, "doubtful" if bad else "")
+    return whole.parts(2, _SHORT_ACROSS)
 
 
 def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
@@ -395,7 +330,11 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
     monte_carlo = cal.diagnostics.monte_carlo
     if monte_carlo is None:
         return ()
-    agreed = Cell("yes", "good")
+
+    def interval(ends: tuple[float, float], scale: float) -> str:
+        return " … ".join(short(end * scale, 6) for end in ends)
+
+    agreed, holds = Cell("yes", "good"), Cell("no: Monte Carlo holds", "doubtful")
     tried = [
         (c, monte_carlo.coefficients[c.key], *shown_unit(c.name, c.unit))
         for c in cal.coefficients
@@ -407,27 +346,154 @@ def propagation_tables(cal: Calibration) -> tuple[Table, ...]:
         .text("Unit", lambda row: pretty_unit(row[3]))
         .number("u, first order", lambda row: short(row[0].std * row[2], 3))
         .number("u, Monte Carlo", lambda row: short(row[1].std * row[2], 3))
-        .number("95 %, first order", lambda row: _interval(row[1].first_order, row[2]))
-        .number("95 %, symmetric", lambda row: _interval(row[1].symmetric, row[2]))
-        .number("95 %, shortest", lambda row: _interval(row[1].shortest, row[2]))
+        .number("95 %, first order", lambda row: interval(row[1].first_order, row[2]))
+        .number("95 %, symmetric", lambda row: interval(row[1].symmetric, row[2]))
+        .number("95 %, shortest", lambda row: interval(row[1].shortest, row[2]))
         .number("Tolerance", lambda row: short(row[1].tolerance * row[2], 1))
-        .text(
-            "Agreement", lambda row: agreed if row[1].validated else Cell("no: Monte Carlo holds", "doubtful")
-        )
-        .table(notes=(f"{monte_carlo.trials} trials.",))
+        .text("Agreement", lambda row: agreed if row[1].validated else holds)
     )
-    return (table,)
+    return (table.table(notes=(f"{monte_carlo.trials} trials.",)),)
 
 
-def _interval(ends: tuple[float, float], scale: float) -> str:
-    low, high = (short(end * scale, 6) for end in ends)
-    return f"{low} … {high}"
+# -- uncertainty budget ----------------------------------------------------------------------------------
+
+DESCRIBED = 5
+"""Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
+
+
+def _sources(cal: Calibration) -> list[BudgetEntry]:
+    """Rows of the budget; without one of Type A the standard uncertainties of the fit come first."""
+    if any(source.type == "A" for source in cal.budget):
+        return list(cal.budget)
+    fit = {coefficient.key: coefficient.std for coefficient in _shown_coefficients(cal)}
+    return [BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit), *cal.budget]
+
+
+def _combined(cal: Calibration, coefficient: Coefficient) -> float:
+    return math.hypot(*(source.contribution(coefficient) for source in _sources(cal)))
+
+
+def budget_table(cal: Calibration) -> Table:
+    """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
+
+    Without an entry of Type A the standard uncertainties of the fit are put first.
+    """
+    coefficients, sources = _shown_coefficients(cal), _sources(cal)
+    total = {c.key: _combined(cal, c) for c in coefficients}
+    table = (
+        TableOf(sources)
+        .text("Source", lambda row: row.source)
+        .text("Type", lambda row: row.type)
+        .text("Distribution", lambda row: row.distribution)
+        .text("Standard uncertainty", lambda row: _amount(row.standard_uncertainty))
+        .number("Degrees of freedom", _degrees)
+    )
+    _across_coefficients(table, cal, lambda row, c: _contribution(row.contribution(c), c, total[c.key]))
+    note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
+    shown = table.table(notes=(note,))
+    if len(sources) < 2:
+        return shown
+    whole = [_contribution(total[c.key], c) for c in coefficients]
+    return replace(shown, rows=(*shown.rows, ("Combined", "", "", "–", "", *whole)))
+
+
+def _across_coefficients(
+    table: TableOf[Item], cal: Calibration, cell: Callable[[Item, Coefficient], str | Cell]
+) -> TableOf[Item]:
+    """A column for each coefficient of the instrument, in the unit in which it is shown."""
+    unit = lambda c: pretty_unit(shown_unit(c.name, c.unit)[1])  # noqa: E731
+    return table.across(_shown_coefficients(cal), lambda c: c.key, cell, unit)
+
+
+def _amount(amount: Amount | None) -> str:
+    return f"{short(amount.value)} {pretty_unit(amount.unit)}".strip() if amount else "–"
+
+
+def _degrees(row: BudgetEntry) -> str:
+    if row.type == "A":
+        return "see above"
+    degrees = row.degrees_of_freedom
+    return "∞" if degrees is None else short(degrees, 3) if degrees else ""
+
+
+def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
+    """Contribution to a coefficient, with its share of the variance ``whole`` squared."""
+    part = abs(part)
+    if part <= _NEGLIGIBLE * c.std:
+        return Cell("–", "quiet")
+    share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
+    return Cell(short(part * shown_unit(c.name, c.unit)[0], 2) + share)
+
+
+def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
+    """Keys of the coefficients with a budget, and the share [%] of each source in the variance of each."""
+    known = [(c, whole) for c in _shown_coefficients(cal) if c.std > 0.0 and (whole := _combined(cal, c)) > 0.0]
+    shares = {
+        source.source: [100.0 * (source.contribution(c) / whole) ** 2 for c, whole in known]
+        for source in _sources(cal)
+    }
+    return [c.key for c, _ in known], shares
+
+
+def budget_tables(cal: Calibration) -> tuple[Table, ...]:
+    """The budget for the page: the sources, then what each adds to the coefficients, as many as fit the page."""
+    whole = budget_table(cal)
+    sources = whole.only(range(DESCRIBED))
+    rows = tuple(row for row in sources.rows if row[1])
+    contributions = whole.only([0, *range(DESCRIBED, len(whole.columns))])
+    return (replace(sources, rows=rows, notes=()), *contributions.parts(1, _ACROSS))
+
+
+def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
+    """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
+    rows = [
+        (
+            row.source,
+            f"1 {pretty_unit(row.standard_uncertainty.unit)}".strip(),
+            {
+                c.key: row.sensitivities[c.key].value
+                for c in _shown_coefficients(cal)
+                if c.key in row.sensitivities and abs(row.contribution(c)) > _NEGLIGIBLE * c.std
+            },
+        )
+        for row in cal.budget
+        if row.sensitivities and row.standard_uncertainty
+    ]
+    return _change_tables(cal, "Source", rows)
+
+
+def source_tables(cal: Calibration) -> tuple[Table, ...]:
+    """The sources of the stand that nobody stated: the change of each coefficient for one unit. Empty if all are stated."""
+    limits = {c.key: _NEGLIGIBLE * c.std for c in _shown_coefficients(cal)}
+    rows = [
+        (
+            component,
+            f"1 {pretty_unit(source.unit)}" if source.effects else source.reason,
+            {key: effect for key, effect in effects.items() if abs(effect) > limits.get(key, math.inf)},
+        )
+        for source in cal.sources
+        if source.status in ("unstated", "assumed")
+        for component, effects in (source.effects or {source.name: {}}).items()
+    ]
+    return _change_tables(cal, "Source that is not stated", rows)
+
+
+def _change_tables(
+    cal: Calibration, heading: str, rows: list[tuple[str, str, dict[str, float]]]
+) -> tuple[Table, ...]:
+    """Tables of changes: source, for how much of it, and the change of each coefficient; none without rows."""
+    if not rows:
+        return ()
+
+    def change(row: tuple[str, str, dict[str, float]], c: Coefficient) -> str | Cell:
+        known = c.key in row[2]
+        return short(row[2][c.key] * shown_unit(c.name, c.unit)[0], 3) if known else Cell("–", "quiet")
+
+    table = TableOf(rows).text(heading, lambda row: row[0]).text("Change for", lambda row: row[1])
+    return _across_coefficients(table, cal, change).table().parts(2, _SHORT_ACROSS)
 
 
 # -- comparison of term sets ---------------------------------------------------------------------------
-
-_NUMBERED = tuple[int, dict[str, Any]]
-"""A set with its number in the table."""
 
 
 def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
@@ -440,56 +506,52 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
         "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
         "that it does not need raises both a little."
     )
-    shown = (comparison_table(document), _shift_table(document))
-    return (Section("Model choice", "model-choice", (lead, Text(comparison_words(document)), *shown)),)
+    shown = (Text(_comparison_words(document)), _comparison_table(document), _shift_table(document))
+    return (Section("Model choice", "model-choice", (lead, *shown)),)
 
 
-def comparison_words(document: dict[str, Any]) -> str:
+def _comparison_words(document: dict[str, Any]) -> str:
     """Result of the comparison, in words."""
     if document["best"] is None:
         return "The record determines none of the sets."
     words = f"Least BIC: {', '.join(document['best'])}."
     if document["best_prediction"] is None:
         return words + " Parts of the record cannot be predicted from the others."
-    parts = {"segment": "segments", "block": "blocks"}[document["parted_by"]]
     notes = "".join(f" {note[0].upper()}{note[1:]}." for note in document.get("notes", ()))
     return (
         f"{words} Fewest coefficients within one standard error of the best prediction "
-        f"({count(document['folds'])} folds over {count(document['parts'])} {parts}): "
+        f"({count(document['folds'])} folds over {count(document['parts'])} {document['parted_by']}s): "
         f"{', '.join(document['best_prediction'])}.{notes}"
     )
 
 
-def comparison_table(document: dict[str, Any]) -> Table:
+def _comparison_table(document: dict[str, Any]) -> Table:
     """One row per set, the least BIC first."""
-    numbered: list[_NUMBERED] = sorted(
-        enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", float("inf")), item[0])
+    numbered = sorted(
+        enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", math.inf), item[0])
     )
 
-    def number(key: str, scale: float = 1.0, digits: int = 3) -> Any:
+    def number(key: str, scale: float = 1.0, digits: int = 3) -> Callable[[tuple[int, Any]], str]:
         return lambda item: short(item[1][key] * scale, digits) if key in item[1] else "–"
 
-    return (
+    table = (
         TableOf(numbered)
         .number("set", lambda item: str(item[0]))
         .text("terms", lambda item: ", ".join(item[1]["terms"]))
-        .number("coefficients", lambda item: str(item[1]["parameters"]) if "bic" in item[1] else "–")
+        .number("coefficients", lambda item: str(item[1].get("parameters", "–")))
         .number("chi²/dof", number("chi_square_per_degree", digits=4))
         .number("BIC above best", number("bic_above_best"))
-        .number("weight", lambda item: "0" if item[1].get("weight", 1.0) <= 1e-6 else number("weight")(item))
         .number("prediction above best", lambda item: _above(item[1]))
         .number("missed", number("prediction_force_error", 1.0 / MICRO_G), "µg")
         .text("remark", lambda item: _remark(item[1], document))
-        .table(
-            "Term sets compared",
-            (
-                f"Noise weights of all sets: those found with {', '.join(document['noise_terms'])}.",
-                f"{count(document['observations'])} observations.",
-                "Prediction: chi-square of the parts left out, with the standard error of the difference.",
-                "Missed: rms over the parts of the mean error of prediction, as specific force.",
-            ),
-        )
     )
+    notes = (
+        f"Noise weights of all sets: those found with {', '.join(document['noise_terms'])}.",
+        f"{count(document['observations'])} observations.",
+        "Prediction: chi-square of the parts left out, with the standard error of the difference.",
+        "Missed: rms over the parts of the mean error of prediction, as specific force.",
+    )
+    return table.table("Term sets compared", notes)
 
 
 def _above(candidate: dict[str, Any]) -> str:
@@ -510,31 +572,29 @@ def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
     return Cell(", ".join(remarks), "good") if remarks else ""
 
 
-def _determined(document: dict[str, Any]) -> list[_NUMBERED]:
-    """The sets that the record determines, with their numbers in the table."""
-    return [(number, one) for number, one in enumerate(document["sets"], start=1) if "bic" in one]
-
-
 def _shift_table(document: dict[str, Any]) -> Table | None:
-    sets = _determined(document)
-    if len(sets) < 2:
+    """Coefficients in the sets that the record determines; None with fewer than two."""
+    known = {
+        number: {c["key"]: c for c in one["coefficients"] if "[" not in c["key"]}
+        for number, one in enumerate(document["sets"], start=1)
+        if "bic" in one
+    }
+    if len(known) < 2:
         return None
-    known = {number: {c["key"]: c for c in one["coefficients"] if "[" not in c["key"]} for number, one in sets}
     units = {key: shown_unit(key, c["unit"]) for of_set in known.values() for key, c in of_set.items()}
+
+    def shifted(key: str, number: int) -> str:
+        c, scale = known[number].get(key), units[key][0]
+        if c is None:
+            return "–"
+        change = f" ({signed(c['change'], 1)})" if c["change"] else ""
+        return rounded(c["value"] * scale, c["std"] * scale).concise + change
+
     note = "Type A. In brackets behind: distance from the set of least BIC, in standard uncertainties of that."
     return (
         TableOf(units)
         .text("coefficient", str)
         .text("unit", lambda key: pretty_unit(units[key][1]) or "1")
-        .across(
-            known, lambda number: f"set {number}", lambda key, n: _shifted(known[n].get(key), units[key][0])
-        )
+        .across(known, lambda number: f"set {number}", shifted)
         .table("Coefficients in every set", (note,))
     )
-
-
-def _shifted(c: dict[str, Any] | None, scale: float) -> str:
-    if c is None:
-        return "–"
-    change = "" if c["change"] in (None, 0.0) else f" ({signed(c['change'], 1)})"
-    return rounded(c["value"] * scale, c["std"] * scale).concise + change

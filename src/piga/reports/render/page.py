@@ -276,6 +276,11 @@ class Section:
         return tuple(_block(one) for one in self.content if one is not None)
 
 
+def sections(*given: Section) -> tuple[Section, ...]:
+    """Those sections that hold more than what the reader is to look for in them."""
+    return tuple(one for one in given if any(not isinstance(part, str | None) for part in one.content))
+
+
 def introduced(text: str, *tables: Table | None) -> tuple[Content, ...]:
     """Tables below what the reader is to look for in them; nothing without a table."""
     shown = [table for table in tables if table is not None]
