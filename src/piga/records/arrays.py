@@ -22,8 +22,6 @@ from piga.errors import DataError
 
 LARGE_BYTES = 32 << 20
 """Size above which an array lies in a file [bytes]: 4 million numbers."""
-
-
 BLOCK_ROWS = 1 << 16
 """Rows per block where a record is worked through in blocks: columns that a stand computes, and compensation."""
 
@@ -50,13 +48,7 @@ def middles(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """A new array with undefined values.
-
-    Raises
-    ------
-    DataError
-        If it is large and the disk has no room for it.
-    """
+    """A new array with undefined values. A :class:`DataError` if it is large and the disk has no room for it."""
     size = math.prod(shape if isinstance(shape, tuple) else (shape,)) * np.dtype(dtype).itemsize
     if size <= LARGE_BYTES:
         return np.empty(shape, dtype)
@@ -86,9 +78,9 @@ def scaled(values: NDArray[Any], factor: float, offset: float = 0.0) -> NDArray[
 def integrated_rate(
     t: NDArray[np.float64], rate: NDArray[np.float64], begins: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Angle [rad] from a rate: trapezoid with end correction, slopes by central differences. It does not grow across gaps.
+    """Angle [rad] from a rate: trapezoid with end correction. It does not grow across gaps.
 
-    Slopes are one-sided at both ends of a stretch.
+    Slopes are central differences, one-sided at both ends of a stretch.
     """
     step = np.where(begins, 0.0, changes(t))
     rise = np.where(step > 0.0, changes(rate) / np.where(step > 0.0, step, 1.0), 0.0)
@@ -112,52 +104,34 @@ def norms(f: NDArray[Any]) -> NDArray[np.float64]:
 
 def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:
     """The values (n,) at which ``where`` (n,) is true, as a new array."""
-    made, count = empty(int(np.count_nonzero(where)), values.dtype), 0
-    for rows in spans(values.size):
-        part = values[rows][where[rows]]
-        made[count : count + part.size] = part
-        count += part.size
-    return made
+    return stored(values[where])
 
 
 class ColumnWriter:
-    """A column of unknown length to which rows are appended. :meth:`finish` returns it."""
+    """A column of unknown length to which rows are appended. A :class:`DataError` if the disk has no room for it."""
 
     def __init__(self, dtype: DTypeLike = np.float64) -> None:
         self._dtype = np.dtype(dtype)
-        self._parts: list[NDArray[Any]] = []
-        self._bytes = 0
-        self._stream: Any = None
+        self._stream = tempfile.SpooledTemporaryFile(LARGE_BYTES, dir=folder())  # noqa: SIM115 - closed by finish
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows. The writer keeps the array itself, not a copy.
-
-        Raises
-        ------
-        DataError
-            If the column is long and the disk has no room for it.
-        """
-        self._parts.append(np.ascontiguousarray(values, self._dtype))
-        self._bytes += self._parts[-1].nbytes
-        if self._bytes > LARGE_BYTES:
-            with _room():
-                if self._stream is None:
-                    self._stream = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
-                for part in self._parts:
-                    self._stream.write(part.data)
-            self._parts.clear()
+        """Append rows."""
+        with _room():
+            self._stream.write(np.ascontiguousarray(values, self._dtype).data)
+            if self._stream.tell() > LARGE_BYTES:
+                self._stream.rollover()
 
     def finish(self) -> NDArray[Any]:
-        """All rows. Raises as :meth:`append`."""
-        if self._stream is None:
-            return np.concatenate([np.empty(0, self._dtype), *self._parts])
+        """All rows."""
         with _room(), self._stream as stream:
+            if stream.tell() <= LARGE_BYTES:
+                stream.seek(0)
+                return np.frombuffer(bytearray(stream.read()), self._dtype)
             stream.flush()
             return np.asarray(np.memmap(stream, self._dtype, "r+"))
 
     def __del__(self) -> None:
-        if self._stream is not None:
-            self._stream.close()
+        self._stream.close()
 
 
 def folder() -> str:
@@ -168,7 +142,6 @@ def folder() -> str:
 
 @contextmanager
 def _room() -> Iterator[None]:
-    """Turn a full disk into one message."""
     try:
         yield
     except OSError as error:

@@ -51,13 +51,7 @@ class GivenParameter:
 
 
 def given_parameter(name: str, given: Given | str | float, like: str, what: str) -> GivenParameter:
-    """A parameter in SI with its standard uncertainty (0 if none is given).
-
-    Raises
-    ------
-    RunFileError, UnitError
-        If unit or uncertainty is wrong. The message names the entry.
-    """
+    """A parameter in SI with its standard uncertainty (0 if none is given). ``what`` names the entry in messages."""
     entry = given if isinstance(given, Given) else Given(value=given)
     value = to_si(entry.value, like, what=what)
     if entry.standard is None and entry.half_width is None:
@@ -67,13 +61,7 @@ def given_parameter(name: str, given: Given | str | float, like: str, what: str)
 
 
 def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> float:
-    """Standard uncertainty in SI.
-
-    Raises
-    ------
-    RunFileError
-        If the entry is negative, ambiguous or incomplete.
-    """
+    """Standard uncertainty in SI. An entry that is negative, ambiguous or incomplete is refused."""
     spread = given if isinstance(given, Spread) else Spread(standard=given)
     named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
     bounded, shape, nu = spread.distribution in _DIVISORS, spread.distribution, spread.degrees_of_freedom

@@ -26,11 +26,6 @@ def open_regular(
 
     A device, a pipe or a folder is refused before anything is read from it: reading it might never end. ``wanted`` and
     ``error`` are for the message: the file that the user should name instead, and the class of the error.
-
-    Raises
-    ------
-    error
-        If it is not a regular file, does not exist or must not be read.
     """
     remedy = f"check the file name: name {wanted}"
     try:
@@ -56,13 +51,7 @@ def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = Data
 
 
 def check_label(text: str, what: str) -> None:
-    """Check the name of an instrument, run or segment: it must fit into a list, a file name and a page.
-
-    Raises
-    ------
-    DataError
-        If the text is empty, longer than :data:`MOST_NAME_LETTERS`, or holds a control character or line break.
-    """
+    """Refuse a name of an instrument, run or segment that does not fit into a list, a file name and a page."""
     if not text.strip():
         raise DataError(f"{what} is empty", remedy="give it a name")
     if len(text) > MOST_NAME_LETTERS:

@@ -7,17 +7,17 @@ jump back or leave a gap are detected and counted. Nothing is interpolated.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
-from piga.records.arrays import empty, stored
+from piga.records.arrays import changes, stored
 from piga.records.calibration import Event, Quality, counted
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import (
@@ -142,7 +142,8 @@ class Run(Result, Plotted, Reported, Tabular):
     @cached_property
     def median_step(self) -> float:
         """Median interval inside stretches [s]; 0 if there is none."""
-        return median(np.diff(self.t)[~self.begins[1:]])
+        steps = np.diff(self.t)[~self.begins[1:]]
+        return float(np.median(steps)) if steps.size else 0.0
 
     @property
     def output_unit(self) -> str:
@@ -155,9 +156,9 @@ class Run(Result, Plotted, Reported, Tabular):
         for letter, vectors, unit in (("f", self.f, "m/s^2"), ("w", self.base_rate, "rad/s")):
             if vectors is not None:
                 columns |= {f"{letter}{axis}": Column(vectors[part, i], unit) for i, axis in enumerate("xyz")}
-        for name in ("temperature", "vibration"):
-            values = getattr(self, name)
-            columns |= {} if values is None else {name: Column(values[part], _UNITS[name])}
+        for name, values in (("temperature", self.temperature), ("vibration", self.vibration)):
+            if values is not None:
+                columns[name] = Column(values[part], _UNITS[name])
         columns["segment"] = Column(self.segment_index[part].astype(np.int32), "1", self.labels)
         return columns | {"row": Column(self.row[part])}
 
@@ -171,9 +172,8 @@ class Run(Result, Plotted, Reported, Tabular):
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the record."""
         named = f"{', '.join(self.labels[:8])}{', ...' if len(self.labels) > 8 else ''}"
-        beside = [
-            name.replace("_", " ") for name in ("base_rate", "temperature") if getattr(self, name) is not None
-        ]
+        rate, heat = self.base_rate is not None, self.temperature is not None
+        beside = ["base rate"] * rate + ["temperature"] * heat
         return [
             ("instrument", self.serial or "not named"),
             ("scale_factor", f"{self.scale_factor * G0:.6g} {self.unit}/g, nominal"),
@@ -187,9 +187,7 @@ class Run(Result, Plotted, Reported, Tabular):
 
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""
-        return np.concatenate(([0], 1 + np.flatnonzero(np.diff(self.segment_index)), [self.size])).astype(
-            np.int64
-        )
+        return np.r_[0, 1 + np.flatnonzero(np.diff(self.segment_index)), self.size].astype(np.int64)
 
     @classmethod
     def from_arrays(
@@ -278,24 +276,20 @@ class Run(Result, Plotted, Reported, Tabular):
             arrays["f"] = np.asarray(force, order="F")
             if unit == GYRO:
                 arrays.setdefault("base_rate", np.asarray(rate, order="F"))
-        _check_arrays(arrays, places, kind)
+        for message, remedy in _wrong_arrays(arrays, places, kind):
+            raise ArgumentError(message, remedy=remedy)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
         budget = _table("uncertainty", uncertainty, UncertaintyTable)
         refuse(faults_of_waived(budget))
         with numbers_are_si(si):
             nominal = scale_factor_in(scale_factor, unit)
-        optional: dict[str, Any] = {
-            name: arrays.get(name) for name in ("base_rate", "temperature", "vibration")
-        }
+        columns: dict[str, Any] = {"base_rate": None, "temperature": None} | arrays
         return cls(
             serial=serial,
             scale_factor=nominal,
             kind=kind,
-            t=t,
-            output=arrays["output"],
-            f=arrays["f"],
-            **optional,
+            **columns,
             segment_index=places,
             labels=names,
             begins=base.begins | _gaps(gaps, t.size),
@@ -531,7 +525,7 @@ def segments_of_visits(
 
     Each visit of a label is a segment. A label that returns later is ``label#2``.
     """
-    starts = np.concatenate(([0], 1 + np.flatnonzero(np.diff(codes)))) if codes.size else np.zeros(0, np.int64)
+    starts = np.flatnonzero(np.diff(codes, prepend=codes[:1] - 1))
     index, visits, names = np.full(starts.size, -1, np.int32), Counter[int](), []
     for at, code in enumerate(codes[starts].tolist()):
         if code >= 0:
@@ -553,30 +547,24 @@ def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
     return marks
 
 
-def _check_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> None:
-    """Refuse arrays that do not fit together. The message names the argument and the first index."""
-
-    def wrong(message: str, remedy: str) -> NoReturn:
-        raise ArgumentError(message, remedy=remedy)
-
+def _wrong_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> Iterator[tuple[str, str]]:
+    """What does not fit together, with argument and first index, and the remedy."""
     t = arrays["t"]
     if kind not in ("angle", "rate"):
-        wrong(f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first")
+        yield f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first"
     if t.ndim != 1 or t.size < 2:
         words = f"t: shape {t.shape}, needs at least two samples in one dimension"
-        wrong(words, "give two or more times, in one dimension")
+        yield words, "give two or more times, in one dimension"
     for name, array in (arrays | {"segment": segment}).items():
         shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
-            wrong(f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}")
+            yield f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}"
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            index = int(np.argwhere(~np.isfinite(array))[0][0])
-            wrong(f"{name}[{index}] is not finite", "leave such samples out")
-    back = (np.diff(segment) == 0) & (np.diff(t) <= 0.0)
-    if back.any():
-        index = int(np.argmax(back)) + 1
-        wrong(f"t[{index}] = {t[index]!r} is not after t[{index - 1}]", "sort by time")
+            yield f"{name}[{np.argwhere(~np.isfinite(array))[0][0]}] is not finite", "leave such samples out"
+    back = 1 + np.flatnonzero((np.diff(segment) == 0) & (np.diff(t) <= 0.0))
+    if back.size:
+        yield f"t[{back[0]}] = {t[back[0]]!r} is not after t[{back[0] - 1}]", "sort by time"
 
 
 _LONG_INTERVAL = 1.5
@@ -606,11 +594,6 @@ class TimeBase:
         return self.step[at] > (rows[at] - rows[at - 1] + 0.5) * self.nominal
 
 
-def median(values: Array) -> float:
-    """Median of numbers, whose order may be changed; 0 if there are none."""
-    return float(np.median(values, overwrite_input=True)) if values.size else 0.0
-
-
 def drop_repeats(
     t: Array,
     segment: NDArray[np.int32],
@@ -618,21 +601,14 @@ def drop_repeats(
     values: list[Array],
     rows: NDArray[np.int64],
 ) -> list[Event]:
-    """Clear ``usable`` for rows with a repeated time: the second of two identical rows, both of two conflicting rows.
+    """Clear ``usable`` (n,) for rows with a repeated time: the second of two identical rows, both of two conflicting rows.
 
-    The arrays are (n,), one entry for each row: ``values`` are all columns, to distinguish identical rows from conflicting
-    ones; ``rows`` are file rows, for the messages.
+    ``values`` are all columns (n,) each; ``rows`` (n,) are file rows, for the messages.
     """
-    clean = bool(usable.all())  # a long column is not copied for nothing
-    at, places = (t, segment) if clean else (t[usable], segment[usable])
-    first = np.flatnonzero((at[1:] == at[:-1]) & (places[1:] == places[:-1]))
-    second = first + 1
-    if not clean:
-        index = np.flatnonzero(usable)
-        first, second = index[first], index[second]
-    identical = np.ones(first.size, dtype=bool)
-    for column in values:
-        identical &= column[first] == column[second]
+    index = np.flatnonzero(usable)
+    same = (np.diff(t[index]) == 0.0) & (np.diff(segment[index]) == 0)
+    first, second = index[:-1][same], index[1:][same]
+    identical = np.all([column[first] == column[second] for column in values], axis=0)
     usable[second] = False
     usable[first[~identical]] = False
     events = counted("repeated-row", second[identical], rows, "the copy is not used")
@@ -642,11 +618,9 @@ def drop_repeats(
 
 def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) -> TimeBase:
     """Find backward jumps and gaps between the used samples. The nominal step is the median of all forward steps."""
-    same = np.append(False, segment[1:] == segment[:-1])
-    step = empty(t.size)
-    step[:1] = 0.0
-    np.subtract(t[1:], t[:-1], out=step[1:])
-    nominal = median(step[same & (step > 0.0)])
+    same, step = np.append(False, segment[1:] == segment[:-1]), stored(changes(t))
+    forward = step[same & (step > 0.0)]
+    nominal = float(np.median(forward, overwrite_input=True)) if forward.size else 0.0
     begins = ~same | begins_stretch(step, nominal)
     backs, gaps = (np.flatnonzero(same & where) for where in (step <= 0.0, step > _LONG_INTERVAL * nominal))
     longest = float(step[gaps].max(initial=0.0))

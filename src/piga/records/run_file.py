@@ -80,22 +80,17 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """SI values of the keys whose type has a unit (:func:`in_unit`). Keys without a value are left out.
 
         A list with one unit gives a tuple, a column the factor of its unit.
-
         ``where`` stands before the key in messages, e.g. ``"[stand] "``.
         """
-        stated = {
-            key: (getattr(self, key), unit, f"{where}{key}") for key, unit in units_of(type(self)).items()
-        }
-        return {key: self._si(*entry) for key, entry in stated.items() if entry[0] is not None}
+        given = {key: (getattr(self, key), unit) for key, unit in units_of(type(self)).items()}
+        return {k: self._si(v, unit, f"{where}{k}") for k, (v, unit) in given.items() if v is not None}
 
     def _si(self, value: Any, unit: str, what: str) -> Any:
         if isinstance(value, (Columns, ColumnTable)):
             return conversion_factor(value.unit, unit, what=what)
-        return (
-            tuple(self._si(v, unit, what) for v in value)
-            if isinstance(value, tuple)
-            else to_si(value, unit, what=what)
-        )
+        if isinstance(value, tuple):
+            return tuple(self._si(v, unit, what) for v in value)
+        return to_si(value, unit, what=what)
 
 
 @cache
@@ -118,35 +113,25 @@ class ServoTable(TomlTable, frozen=True):
     angular_momentum: Annotated[Quantity | Given, in_unit("kg m^2/s")] | None = None
 
     def parameters(self) -> tuple[GivenParameter, ...]:
-        """The given parameters, in SI.
-
-        Raises
-        ------
-        RunFileError, UnitError
-            If a parameter is not physical, or the pendulosity is given twice or not at all.
-        """
-        given_ones = tuple(
-            given_parameter(name, given, like, f"[instrument] servo.{name}")
-            for name, like in units_of(ServoTable).items()
-            if (given := getattr(self, name)) is not None
-        )
-        for entry in given_ones:
-            least = (
-                "positive"
-                if entry.name in ("integral_gain", "pendulosity", "angular_momentum")
-                else "zero or more"
-            )
-            if entry.value < 0.0 or (entry.value == 0.0 and least == "positive"):
+        """The given parameters, in SI. One that is not physical is refused."""
+        where, parameters = "[instrument] servo", []
+        for name, like in units_of(ServoTable).items():
+            if (given := getattr(self, name)) is None:
+                continue
+            entry = given_parameter(name, given, like, f"{where}.{name}")
+            positive = name in ("integral_gain", "pendulosity", "angular_momentum")
+            if entry.value < 0.0 or (positive and entry.value == 0.0):
                 raise RunFileError(
-                    f"[instrument] servo.{entry.name}: must be {least}",
+                    f"{where}.{name}: must be {'positive' if positive else 'zero or more'}",
                     remedy="correct the value: the terms of the servo need a servo with integral gain",
                 )
+            parameters.append(entry)
         if (self.pendulosity is None) == (self.angular_momentum is None):
             raise RunFileError(
-                "[instrument] servo: one of pendulosity and angular_momentum is needed",
+                f"{where}: one of pendulosity and angular_momentum is needed",
                 remedy="give exactly one: the pendulosity is scale_factor times the angular momentum",
             )
-        return given_ones
+        return tuple(parameters)
 
 
 class InstrumentTable(TomlTable, frozen=True):
@@ -259,11 +244,8 @@ class DataTable(TomlTable, frozen=True):
 
     def number_columns(self) -> list[str]:
         """Names of the number columns, each once, in reading order."""
-        names = [self.output.column]
-        names += [self.time.column] if self.time else []
-        names += [column.column for column in (self.temperature, self.vibration) if column]
-        for group in (self.reference, self.base_rate):
-            names += group.columns if group else []
+        names = [one.column for one in (self.output, self.time, self.temperature, self.vibration) if one]
+        names += [name for group in (self.reference, self.base_rate) if group for name in group.columns]
         names += [self.sequence.column] if self.sequence else []
         names += [self.segment.holds_of] if isinstance(self.segment, PositionColumn) else []
         return list(dict.fromkeys(names))
@@ -275,7 +257,6 @@ class DataTable(TomlTable, frozen=True):
 
 
 _DEFAULT_TERMS = ("scale_factor", "tan_beta", "k0")
-"""Terms of a gyro accelerometer for which nobody asks; a direct instrument has no ``tan_beta``."""
 
 
 class ModelTable(TomlTable, frozen=True):
@@ -298,13 +279,7 @@ class ModelTable(TomlTable, frozen=True):
         return to_si(self.scale_factor_tolerance, "%", what="[model] scale_factor_tolerance")
 
     def of(self, output: str, where: str = "[model] terms") -> ModelTable:
-        """The table for an instrument whose output rate has this unit: terms that nobody asked for are those of its kind.
-
-        Raises
-        ------
-        RunFileError
-            If a term does not exist, or belongs to the other kind.
-        """
+        """The table, checked, for an output rate in this unit: terms that nobody asked for are those of its kind."""
         table = self
         if output != GYRO and self.terms is _DEFAULT_TERMS:
             table = msgspec.structs.replace(self, terms=("scale_factor", "k0"))
@@ -415,14 +390,7 @@ def drawn_for(name: str) -> Draw:
 
 
 def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
-    """Read and check a run file.
-
-    Parameters
-    ----------
-    path:
-        The file.
-    raw:
-        Its bytes, if they were read before (:func:`piga.records.text_files.toml_bytes`).
+    """Read and check a run file. ``raw``: its bytes, if they were read before.
 
     Raises
     ------
@@ -444,13 +412,7 @@ _Faults = Iterator[tuple[str, str]]
 
 
 def check_run_file(run_file: RunFile) -> None:
-    """Check units, options that contradict each other, and terms.
-
-    Raises
-    ------
-    DataError, RunFileError, UnitError
-        With table, key and value.
-    """
+    """Check units, options that contradict each other, and terms."""
     if run_file.instrument.serial:
         check_label(run_file.instrument.serial, "[instrument] serial")
     refuse(_faults(run_file))
@@ -553,13 +515,7 @@ def _faults_of_direct(run_file: RunFile) -> _Faults:
 
 
 def check_direct_unit(unit: str, what: str) -> None:
-    """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal.
-
-    Raises
-    ------
-    RunFileError, UnitError
-        The message begins with ``what``.
-    """
+    """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal."""
     if parse_unit(unit).dimension[2] or unit == GYRO:
         raise RunFileError(
             f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",

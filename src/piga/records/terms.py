@@ -23,13 +23,7 @@ TERM_WORDS = TERMS | HARMONICS
 
 
 def term_words(name: str) -> Term:
-    """The words of a term; also of ``s2`` and of ``m_Y[run]``.
-
-    Raises
-    ------
-    KeyError
-        If this is not a term.
-    """
+    """The words of a term; also of ``s2`` and of ``m_Y[run]``. A :class:`KeyError` if this is not a term."""
     base = name.partition("[")[0]
     if base in TERM_WORDS:
         return TERM_WORDS[base]
@@ -71,18 +65,12 @@ def shown_output(unit: str) -> tuple[float, str]:
 
 
 def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -> float:
-    """K [unit per m/s^2] of an instrument whose output rate has this unit, from text with any unit of its kind.
-
-    Raises
-    ------
-    UnitError
-        If the text has a unit of another kind.
-    """
+    """K [unit per m/s^2] of an instrument whose output rate has this unit, from text with any unit of its kind."""
     return level_in(value, unit, what, f"{unit}/g")
 
 
 def level_in(value: str | float, unit: str, what: str = "noise", like: str = "") -> float:
-    """A level of the output in this unit, from text with any unit of its kind (``like``). Raises as :func:`scale_factor_in`."""
+    """A level of the output in this unit, from text with any unit of its kind (``like``)."""
     number = to_si(value, like or unit, what=what)
     return number / parse_unit(unit).factor if isinstance(value, str) else number
 
@@ -109,8 +97,7 @@ def shown_unit(name: str, unit: str) -> tuple[float, str]:
     """Factor and unit in which a coefficient is displayed, on every page and terminal: ``g/g^2`` becomes ``ug/g^2``.
 
     The choice depends on the coefficient, never on its value. So a column has one unit across runs and records.
-    Units whose numerator is a plain ``g`` or ``rad`` become micro-units. The phase ``phi`` and rates do not
-    (``rad/s/g`` stays, because the field quotes the scale factor in it).
+    The phase ``phi`` and rates stay (the field quotes the scale factor in ``rad/s/g``).
 
     Examples
     --------
@@ -173,14 +160,7 @@ def known_terms(name: str) -> str:
 
 
 def check_terms(terms: tuple[str, ...], *, where: str = "terms", output: str = GYRO) -> None:
-    """Check the names of the wanted terms and their combination, for an instrument whose output rate has a unit.
-
-    Raises
-    ------
-    RunFileError
-        For an unknown or repeated name, a harmonic without its partner, k1 beside scale_factor, or a term of the other kind
-        of instrument.
-    """
+    """Check the names of the wanted terms and their combination, for an instrument whose output rate has this unit."""
 
     def refuse(message: str, remedy: str = "leave it out") -> NoReturn:
         raise RunFileError(f"{where}: {message}", remedy=remedy)

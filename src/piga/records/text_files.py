@@ -7,6 +7,7 @@ import json
 import math
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -42,25 +43,12 @@ _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
 
 
 def toml_bytes(path: Path) -> bytes:
-    """The bytes of a TOML file.
-
-    Raises
-    ------
-    RunFileError
-        If the file cannot be read or is larger than such files are.
-    """
+    """The bytes of a TOML file."""
     return read_whole(path, _MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
-    """The tables of a TOML file as plain values. ``raw``: its bytes, if they were read before.
-
-    Raises
-    ------
-    RunFileError
-        If the file cannot be read, is not TOML (the message names the line), or holds integers beyond 64 bits or control
-        characters.
-    """
+    """The tables of a TOML file as plain values. ``raw``: its bytes, if they were read before."""
     try:
         document = tomllib.loads((toml_bytes(path) if raw is None else raw).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -126,20 +114,15 @@ def files_named_in(path: Path) -> list[Path]:
     Any text that is the name of a file beside the TOML file counts. The ``.sha256`` beside each file is included. A file
     that cannot be read adds no names.
     """
-    named: dict[Path, None] = {}
-    waiting = [path]
-    while waiting:
-        at = waiting.pop()
-        if at in named:
-            continue
-        named[at] = None
-        sidecar = Path(f"{at}.sha256")
-        named |= {sidecar: None} if sidecar.exists() else {}
+    named = [path]
+    for at in named:  # grows in the loop
+        near = [Path(f"{at}.sha256")]
         if at.suffix == ".toml":
             with suppress(RunFileError, OSError):
                 words = [word for word in texts_of(toml_document(at)) if word and len(word) < MAX_NAME]
-                waiting += [at.parent / word for word in words if (at.parent / word).is_file()]
-    return list(named)
+                near += [at.parent / word for word in words]
+        named += [file for file in dict.fromkeys(near) if file not in named and file.is_file()]
+    return named
 
 
 def texts_of(value: object) -> list[str]:
@@ -151,7 +134,7 @@ def texts_of(value: object) -> list[str]:
 
 
 def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
-    """Read ``path`` into ``kind``. ``raw``: its bytes, if they were read before.
+    """Read a TOML file into ``kind``. ``raw``: its bytes, if they were read before.
 
     Raises
     ------
@@ -163,13 +146,7 @@ def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
 
 
 def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
-    """Convert the tables of a TOML file into ``kind``. ``path`` is named in messages.
-
-    Raises
-    ------
-    RunFileError
-        For an unknown or missing key, or a value of the wrong type.
-    """
+    """Convert the tables of a TOML file into ``kind``. ``path`` is named in messages."""
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:
@@ -178,13 +155,7 @@ def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
 
 
 def convert_table(name: str, table: object, kind: Any) -> Any:
-    """Convert one table, called ``name`` in messages, into ``kind``.
-
-    Raises
-    ------
-    ArgumentError
-        As :func:`convert_toml`; the message begins with ``[name]``.
-    """
+    """Convert one table, called ``name`` in messages, into ``kind``."""
     holder = msgspec.defstruct("Tables", [(name, kind)])
     try:
         return getattr(msgspec.convert({name: table}, holder), name)
@@ -194,15 +165,7 @@ def convert_table(name: str, table: object, kind: Any) -> Any:
 
 
 def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> tuple[str, str]:
-    """A validation message as a test engineer understands it, and its remedy.
-
-    Parameters
-    ----------
-    message:
-        The message of msgspec.
-    kind, raw:
-        The structure, and the tables that do not fit it.
-    """
+    """A message of msgspec as a test engineer understands it, and its remedy; ``raw``: the tables that do not fit ``kind``."""
     where_match = _PATH.search(message)
     keys = [key for key in (where_match.group(1) if where_match else "").split(".") if key]
     where = f"[{'.'.join(keys)}]" if keys else "top level"
@@ -275,13 +238,7 @@ class JsonError(ValueError):
 
 
 def json_object(raw: bytes) -> dict[str, Any]:
-    """A JSON object (RFC 8259, UTF-8) in which no object has a key twice: programs differ in which value they take.
-
-    Raises
-    ------
-    JsonError
-        If the bytes are not such an object.
-    """
+    """A JSON object (RFC 8259, UTF-8) in which no object has a key twice: programs differ in which value they take."""
     try:
         document = msgspec.json.decode(raw, type=dict[str, Any])
         json.loads(raw, object_pairs_hook=_refuse_twice, parse_int=float)
@@ -293,12 +250,9 @@ def json_object(raw: bytes) -> dict[str, Any]:
 
 
 def _refuse_twice(pairs: list[tuple[str, Any]]) -> None:
-    """Refuse a duplicate key. Called for every object, innermost first; returns nothing."""
-    names: set[str] = set()
-    for name, _ in pairs:
-        if name in names:
-            raise JsonError(f"the key '{name[:60]}' occurs twice in one object")
-        names.add(name)
+    if len(dict(pairs)) < len(pairs):
+        name = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise JsonError(f"the key '{name[:60]}' occurs twice in one object")
 
 
 def toml_key(name: str) -> str:

@@ -61,8 +61,6 @@ if TYPE_CHECKING:
     from piga.instrument.parameters import ErrorModel, Instrument
 
 
-_LIBRARIES = ("uncertainties", "GTC")
-"""Packages whose numbers know what they are correlated with."""
 _SHOWN, _DOUBTS = 5, 3
 """Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""
 
@@ -244,24 +242,19 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     def table_columns(self) -> dict[str, Column]:
         """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
         names = ("coefficient", "name", "segment", "run", "unit", "unit_si")
-        texts = [(c.key, c.name, c.segment or "", c.run or "", c.unit, c.si.unit) for c in self.coefficients]
         units = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
-        units |= {
-            "degrees_of_freedom": "1",
-            "value_si": "as in column unit_si",
-            "std_si": "as in column unit_si",
-        }
-        numbers = np.array(
-            [
-                (c.value, c.std, c.expanded, *c.limits, c.degrees_of_freedom, c.value_si, c.si.std)
-                for c in self.coefficients
-            ],
-            dtype=float,
-        )
-        columns = {n: Column(np.array(v, object)) for n, v in zip(names, zip(*texts, strict=True), strict=True)}
-        return columns | {
-            name: Column(values, unit) for (name, unit), values in zip(units.items(), numbers.T, strict=True)
-        }
+        units |= {"degrees_of_freedom": "1"} | dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
+        rows = [
+            (
+                (c.key, c.name, c.segment or "", c.run or "", c.unit, c.si.unit),
+                (c.value, c.std, c.expanded, *c.limits, c.degrees_of_freedom, c.value_si, c.si.std),
+            )
+            for c in self.coefficients
+        ]
+        texts, numbers = zip(*rows, strict=True)
+        columns = {name: Column(values) for name, values in zip(names, np.array(texts, object).T, strict=True)}
+        stated = zip(units.items(), np.array(numbers, float).T, strict=True)
+        return columns | {name: Column(values, unit) for (name, unit), values in stated}
 
     def table_notes(self) -> tuple[str, ...]:
         """The remark that uncertainties are of Type A only, where it holds."""
@@ -293,9 +286,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         MissingPackageError
             If the library is not installed.
         """
-        if library not in (None, *_LIBRARIES):
-            raise ArgumentError(f"correlated: library '{library}'", remedy=f"one of {', '.join(_LIBRARIES)}")
-        chosen: str = library or next(filter(find_spec, _LIBRARIES), _LIBRARIES[0])
+        if library not in (None, "uncertainties", "GTC"):
+            raise ArgumentError(f"correlated: library '{library}'", remedy="one of uncertainties, GTC")
+        chosen = library or ("GTC" if find_spec("GTC") and not find_spec("uncertainties") else "uncertainties")
         package = needed(chosen)
         scale = np.array([si_factor(c.name) if si else 1.0 for c in self.coefficients])
         values = scale * np.array([c.value for c in self.coefficients])
@@ -394,13 +387,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source, unit)
 
     def require_gimbal(self, what: str) -> None:
-        """Refuse a direct instrument where a gimbal is needed.
-
-        Raises
-        ------
-        CalibrationError
-            The message begins with ``what``.
-        """
+        """Refuse a direct instrument where a gimbal is needed. The message begins with ``what``."""
         if self.direct:
             raise CalibrationError(
                 f"{what}: only for a gyro accelerometer, and the output of '{self.serial}' is in {self.unit}",
@@ -420,10 +407,11 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
             known = ", ".join(run.name for run in self.runs) or "none: it is a calibration of one run"
             raise CalibrationError(f"the calibration has no run '{name}'", remedy=f"runs: {known}")
         chosen = [i for i, c in enumerate(self.coefficients) if c.run in (None, name)]
-        names = {self.coefficients[i].key: replace(self.coefficients[i], run=None).key for i in chosen}
+        plain = tuple(replace(self.coefficients[i], run=None) for i in chosen)
+        names = {self.coefficients[i].key: c.key for i, c in zip(chosen, plain, strict=True)}
         return replace(
             self,
-            coefficients=tuple(replace(self.coefficients[i], run=None) for i in chosen),
+            coefficients=plain,
             covariance=self.covariance[np.ix_(chosen, chosen)],
             phases=record.phases,
             angle_rms=record.angle_rms,
@@ -457,9 +445,8 @@ def _gtc(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -
     """Numbers of GTC, one ensemble. It has one number of degrees of freedom: the fewest of all coefficients."""
     import GTC
 
-    std, matrix = np.sqrt(np.diag(covariance)), correlation(covariance)
-    uncertain = [i for i, u in enumerate(std) if u > 0.0]
-    keys = list(calibration)
+    std, matrix, keys = np.sqrt(np.diag(covariance)), correlation(covariance), list(calibration)
+    uncertain = np.flatnonzero(std).tolist()
     fewest = min((calibration.coefficients[i].degrees_of_freedom for i in uncertain), default=math.inf)
     made: list[Any] = [GTC.constant(value, label=key) for value, key in zip(values.tolist(), keys, strict=True)]
     numbers = GTC.multiple_ureal(values[uncertain], std[uncertain], fewest, [keys[i] for i in uncertain])

@@ -6,7 +6,7 @@ Every number for 95 % comes from :class:`Coefficient`. Only the joint region of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
@@ -77,18 +77,9 @@ def coverage_factor(degrees_of_freedom: ArrayLike, probability: float = PROBABIL
 
 
 def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
-    """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b).
+    """Degrees of freedom of a sum of independent components (JCGM 100, eq. G.2b): a float, or (...,) for several sums.
 
-    Parameters
-    ----------
-    components:
-        (..., n) standard uncertainties of the components, in one unit.
-    degrees:
-        (..., n) their degrees of freedom; ``inf`` where a component is known.
-
-    Returns
-    -------
-    float, or array (...,) where several sums are given.
+    ``components`` (..., n) are standard uncertainties in one unit; ``degrees`` (..., n) are ``inf`` for a known component.
     """
     u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
     largest = u.max(axis=-1, initial=0.0)
@@ -180,11 +171,8 @@ class Coefficient(ByValue, Shown):
         """
         factor, (low, high) = si_factor(self.name), self.limits
         number = SIValue(self.value_si)
-        number.std, number.expanded, number.limits = (
-            self.std * factor,
-            self.expanded * factor,
-            (low * factor, high * factor),
-        )
+        number.std, number.expanded = self.std * factor, self.expanded * factor
+        number.limits = low * factor, high * factor
         number.unit = si_unit_of(self.name, self.unit.removesuffix("/g"))
         return number
 
@@ -333,20 +321,24 @@ class BudgetTable(Result, Tabular):
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
         none = Amount(math.nan, "")
-        rows = [(e, e.standard_uncertainty or none, *pair) for e in self for pair in e.contributions.items()]
-
-        def texts(of: Callable[[BudgetEntry, Amount, str, float], str]) -> Column:
-            return Column(np.array([of(*row) for row in rows], dtype=object))
-
+        rows = [
+            (e.source, e.type, e.distribution, key, unit_of(key), change, size.value, size.unit)
+            for e, size in ((entry, entry.standard_uncertainty or none) for entry in self)
+            for key, change in e.contributions.items()
+        ]
+        names = (
+            "source",
+            "type",
+            "distribution",
+            "coefficient",
+            "unit",
+            "contribution",
+            "standard_uncertainty",
+        )
+        numbers = {"contribution": "as in column unit", "standard_uncertainty": "as in column unit_of_source"}
         return {
-            "source": texts(lambda entry, *_: entry.source),
-            "type": texts(lambda entry, *_: entry.type),
-            "distribution": texts(lambda entry, *_: entry.distribution),
-            "coefficient": texts(lambda *row: row[2]),
-            "unit": texts(lambda *row: unit_of(row[2])),
-            "contribution": Column(np.array([row[3] for row in rows], float), "as in column unit"),
-            "standard_uncertainty": Column(
-                np.array([row[1].value for row in rows], float), "as in column unit_of_source"
-            ),
-            "unit_of_source": texts(lambda *row: row[1].unit),
+            name: Column(
+                np.array([row[i] for row in rows], float if name in numbers else object), numbers.get(name, "1")
+            )
+            for i, name in enumerate((*names, "unit_of_source"))
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, Required, TypedDict
 
 import numpy as np
 from msgspec import Meta
@@ -123,11 +123,11 @@ class Residuals(Result, Plotted, Tabular):
     def table_columns(self) -> dict[str, Column]:
         """One row for each used sample. ``segment`` and ``run`` are indices."""
         angle = self.unit.startswith("rad")
-        units = {"row": "1", "segment": "1", "t": "s", "psi": "rad" if angle else "1", "a_x": "m/s^2"}
-        units |= {"before": self.unit, "after": self.unit, "innovation": "1"}
-        units |= {} if self.run is None else {"run": "1"}
-        columns = {name: Column(getattr(self, name), unit) for name, unit in units.items()}
-        return {"output" if name == "psi" and not angle else name: column for name, column in columns.items()}
+        columns = {"row": Column(self.row, "1"), "segment": Column(self.segment, "1"), "t": Column(self.t, "s")}
+        columns["psi" if angle else "output"] = Column(self.psi, "rad" if angle else "1")
+        columns |= {"a_x": Column(self.a_x, "m/s^2"), "before": Column(self.before, self.unit)}
+        columns |= {"after": Column(self.after, self.unit), "innovation": Column(self.innovation, "1")}
+        return columns if self.run is None else columns | {"run": Column(self.run, "1")}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,11 +246,10 @@ CREEP_ALARMS = 0.01
 
 @dataclass(frozen=True)
 class SegmentScatter:
-    """Scatter of the mean rates of the segments; None if there are too few segments.
+    """Scatter of the mean rates of the segments, root mean square [g]; None if there are too few segments.
 
-    ``segment_scatter_ratio`` is the scatter divided by what all noise explains. ``segment_scatter_ratio_without_it`` is
-    the scatter divided by what the noise of the angle explains, if a slow noise is in the model.
-    ``segment_scatter_g`` is the root mean square [g].
+    ``segment_scatter_ratio`` is the scatter divided by what all noise explains; ``..._without_it``: by what the noise of the
+    angle explains, if a slow noise is in the model.
     """
 
     segment_scatter_ratio: Level | None = None
@@ -273,16 +272,11 @@ class ComparedCoefficient(TypedDict):
     change: Number | None
 
 
-class ComparedTerms(TypedDict):
-    """A set of terms of a comparison, and the reason if the record does not determine it."""
+class ComparedSet(TypedDict, total=False):
+    """A set of terms of a comparison: the reason if the record does not determine it, else its numbers."""
 
-    terms: list[str]
-    reason: str
-
-
-class ComparedSet(ComparedTerms, total=False):
-    """The set with its numbers, if the record determines it."""
-
+    terms: Required[list[str]]
+    reason: Required[str]
     parameters: Count
     chi_square: Number
     chi_square_per_degree: Number
@@ -298,15 +292,10 @@ class ComparedSet(ComparedTerms, total=False):
     prediction_force_error: Number
 
 
-class ComparisonNotes(TypedDict, total=False):
-    """Notes on a comparison, which older files lack."""
+class Comparison(TypedDict):
+    """The document of :class:`piga.calibration.ModelComparison`. Older files lack the notes."""
 
-    notes: list[str]
-
-
-class Comparison(ComparisonNotes):
-    """The document of :class:`piga.calibration.ModelComparison`."""
-
+    notes: NotRequired[list[str]]
     treatment: str
     noise_terms: list[str]
     angle_rms: Level

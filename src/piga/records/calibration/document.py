@@ -187,20 +187,14 @@ def calibration_to_bytes(calibration: Calibration) -> bytes:
 
 
 def read_with_digest(path: Path) -> tuple[Calibration, str]:
-    """Read a record, and the SHA-256 of its bytes. Compensation, certificates and the store all read through this check.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is missing, is not a calibration record, is of a newer schema, or contradicts itself.
-    """
+    """Read a record, and the SHA-256 of its bytes. Compensation, certificates and the store all read through this check."""
     check_results(path.parent)
     raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
     return calibration_from_bytes(raw, path), hashlib.sha256(raw).hexdigest()
 
 
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
-    """Read a record from the bytes of its file; ``path`` names it in messages. Raises as :func:`read_with_digest`."""
+    """Read a record from the bytes of its file; ``path`` names it in messages."""
     try:
         return _calibration(_decoded(raw))
     except (JsonError, msgspec.ValidationError, UnitError) as error:
@@ -394,35 +388,44 @@ def calibration_of(
     if unit != GYRO:
         check_direct_unit(unit, f"{_GIVEN} unit")
     named = [_coefficient(key, given, unit) for key, given in coefficients.items()]
+    matrix = np.diag([c.std**2 for c in named]) if covariance is None else np.asarray(covariance, dtype=float)
+    nominal = next((c.value_si for c in named if c.name == "scale_factor"), None)
+    if scale_factor_nominal is not None:
+        with numbers_are_si(True):
+            nominal = scale_factor_in(scale_factor_nominal, unit, f"{_GIVEN} scale_factor_nominal")
+    shape = len(named), len(named)
     if not named:
         raise _refusal("no coefficient is given", 'e.g. {"scale_factor": "0.8884 rad/s/g"}')
     if phase_source not in PHASE_SOURCES:
         raise _refusal(f"phase_source: '{phase_source}'", f"one of {', '.join(PHASE_SOURCES)}")
-    matrix = np.diag([c.std**2 for c in named]) if covariance is None else np.asarray(covariance, dtype=float)
-    shape = len(named), len(named)
     if matrix.shape != shape or not np.isfinite(matrix).all():
-        raise _refusal(
-            f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients: {shape} finite numbers are needed",
-            "one row and one column for each coefficient, in their order",
+        words = (
+            f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients: {shape} finite numbers"
         )
-    std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    given = tuple(
-        replace(c, std=c.std or float(u), run=None, interval=None) for c, u in zip(named, std, strict=True)
-    )
-    none: dict[str, Any] = {
-        name: 0.0 for name, (section, *_) in _PLACES.items() if section in ("noise", "residual")
-    }
+        raise _refusal(f"{words} are needed", "one row and one column for each coefficient, in their order")
+    if nominal is None:
+        raise _refusal("there is no scale factor", "add 'scale_factor' or scale_factor_nominal")
+    if not nominal > 0.0:
+        raise _refusal("the scale factor must be positive", "reverse the input axis")
+    std = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
     made = Calibration(
         serial=serial,
-        scale_factor_nominal=_given_nominal(given, scale_factor_nominal, unit),
-        terms=tuple(c.name for c in given if c.name != "phi"),
-        phases="per-segment" if any(c.segment is not None for c in given) else "shared",
+        scale_factor_nominal=nominal,
+        terms=tuple(c.name for c in named if c.name != "phi"),
+        phases="per-segment" if any(c.segment is not None for c in named) else "shared",
         phase_source=phase_source,
         method="information",
-        coefficients=given,
+        coefficients=tuple(
+            replace(c, std=c.std or u, run=None, interval=None) for c, u in zip(named, std, strict=True)
+        ),
         covariance=matrix,
         surplus_observations=0.0,
-        **none,
+        angle_rms=0.0,
+        angle_random_walk=0.0,
+        residual_rms=0.0,
+        residual_rms_before=0.0,
+        residual_max_before=0.0,
+        residual_max_after=0.0,
         quality=Quality(0, 0, 0),
         condition=math.inf,
         notes=("the coefficients were given, not estimated from a record: no test was made",),
@@ -460,18 +463,6 @@ def _coefficient(key: str, given: Given, output: str) -> Coefficient:
 
 def _number(given: float | str, unit: str, what: str) -> float:
     """A number in the unit of the file; a text carries its own unit."""
-    return (
-        from_si(to_si(given, unit, what=what), unit) if isinstance(given, str) else to_si(given, "1", what=what)
-    )
-
-
-def _given_nominal(named: tuple[Coefficient, ...], given: float | str | None, unit: str) -> float:
-    nominal = next((c.value_si for c in named if c.name == "scale_factor"), None)
-    if given is not None:
-        with numbers_are_si(True):
-            nominal = scale_factor_in(given, unit, f"{_GIVEN} scale_factor_nominal")
-    if nominal is None:
-        raise _refusal("there is no scale factor", "add 'scale_factor' or scale_factor_nominal")
-    if not nominal > 0.0:
-        raise _refusal("the scale factor must be positive", "reverse the input axis")
-    return nominal
+    if isinstance(given, str):
+        return from_si(to_si(given, unit, what=what), unit)
+    return to_si(given, "1", what=what)
