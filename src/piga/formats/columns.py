@@ -29,14 +29,8 @@ _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 class FileChunk:
     """Consecutive rows of a file.
 
-    Attributes
-    ----------
-    numbers:
-        float64 values (n,) by column name, in the unit of the file. A missing value is nan.
-    codes:
-        Segment column as indices into the stream's ``label_names`` (-1: no label), or None.
-    rows:
-        1-based file row of each row.
+    ``numbers`` holds values (n,) by column in the unit of the file; a missing value is nan. ``codes`` is the segment column as
+    indices into the stream's ``label_names`` (-1: no label), or None. ``rows`` are 1-based file rows.
     """
 
     numbers: dict[str, NDArray[np.float64]]
@@ -45,19 +39,10 @@ class FileChunk:
 
 
 class RecordStream:
-    """A data file being read: base of all readers.
+    """A data file being read: base of all readers. Each refuses a file that it cannot read as requested.
 
-    Parameters
-    ----------
-    path:
-        Name of the file in messages.
-    numeric, label:
-        Names of the number columns, and of the segment column.
-
-    Attributes
-    ----------
-    units:
-        Unit of each number column for which the file states one.
+    ``path`` is the name of the file in messages, ``numeric`` and ``label`` name the number columns and the segment column.
+    ``units`` holds the unit of each number column for which the file states one.
     """
 
     def __init__(self, path: Path, numeric: Iterable[str], label: str | None) -> None:
@@ -76,10 +61,7 @@ class RecordStream:
     def take_schema(self, schema: Any, remedies: tuple[str, str] = REMEDIES) -> None:
         """Take the units of an Arrow schema: those that its fields state, and seconds for times.
 
-        Raises
-        ------
-        DataError
-            If it lacks a wanted column, or a number column has another type.
+        A schema that lacks a wanted column, or in which a number column has another type, is refused.
         """
         import pyarrow as pa
 
@@ -154,16 +136,7 @@ class RecordStream:
 
 
 class TableStream(RecordStream):
-    """A table in memory: an Arrow ``table``.
-
-    Raises
-    ------
-    DataError
-        If a column is missing or holds no numbers. ``remedies`` says for each of the two what to do.
-    """
-
-    table: Any
-    rows: NDArray[np.int64]
+    """A table in memory: an Arrow ``table``. ``remedies``: if a column is missing, and if it holds no numbers."""
 
     def __init__(
         self,
@@ -199,19 +172,12 @@ def is_time(kind: Any) -> bool:
 
 def column_letter(index: int) -> str:
     """Spreadsheet letter of a 0-based column index: 0 is A, 26 is AA."""
-    letters = ""
-    index += 1
-    while index:
-        index, rest = divmod(index - 1, 26)
-        letters = chr(ord("A") + rest) + letters
-    return letters
+    before, rest = divmod(index, 26)
+    return (column_letter(before - 1) if before else "") + chr(ord("A") + rest)
 
 
 def _plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """Copy of the memory of an Arrow array. Null entries have arbitrary values.
-
-    Arrow's ``to_numpy`` and ``fill_null`` would load pandas, if it is installed, and take 40 MB.
-    """
+    """Copy of the memory of an Arrow array. Null entries have arbitrary values. Arrow's ``to_numpy`` would load pandas."""
     values = np.frombuffer(column.buffers()[1] or b"", dtype=kind, count=column.offset + len(column))
     return np.array(values[column.offset :])
 
@@ -250,12 +216,10 @@ def no_column(
     """The error for columns that are not in the file. It lists the columns of the file, whose names stand in ``row``."""
     names, missing = tuple(present), (name,) if isinstance(name, str) else tuple(name)
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-    shown = ", ".join(names[:_MOST_LISTED]) + more
-    listed = ", ".join(f"'{one}'" for one in missing)
-    words = f"no column {listed}; the columns are: {shown or 'none'}"
+    listed, shown = ", ".join(f"'{one}'" for one in missing), ", ".join(names[:_MOST_LISTED]) + more
     place = "" if row is None else f"row {row}: "
-    where = Where(path, row, missing)
-    return DataError(f"{path}: {place}{words}", remedy=remedy, where=where, columns=names, fixes=fixes)
+    words = f"{path}: {place}no column {listed}; the columns are: {shown or 'none'}"
+    return DataError(words, remedy=remedy, where=Where(path, row, missing), columns=names, fixes=fixes)
 
 
 def refusal(
@@ -306,11 +270,6 @@ class Container(TableStream):
 
     A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`read` opens the file and gives the columns to
     :meth:`take`. ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read as requested, or unpacks to more than is read.
     """
 
     name = remedy = ""
@@ -356,13 +315,7 @@ class Container(TableStream):
         return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
 
     def vector(self, name: str, values: NDArray) -> NDArray:
-        """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix.
-
-        Raises
-        ------
-        DataError
-            If the array has more than two dimensions, or is a matrix and the name has no number of a column.
-        """
+        """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix."""
         plain, column = split_name(name)
         if values.ndim == 2 and column is not None:
             if 1 <= column <= values.shape[1]:
@@ -376,14 +329,8 @@ class Container(TableStream):
         return flat
 
     def take(self, column: Callable[[str], NDArray], units: Mapping[str, str]) -> None:
-        """Read the columns; ``column`` reads one.
-
-        Raises
-        ------
-        DataError
-            If a number column holds something else (text, complex numbers, objects), lengths differ, or there are no rows.
-        """
-        columns = {}
+        """Read the columns; ``column`` reads one."""
+        columns, first = dict[str, Column](), self.wanted[0]
         for name in self.wanted:
             values = column(name)
             if name not in self.numeric:
@@ -391,14 +338,13 @@ class Container(TableStream):
             elif values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
                 words = f"column '{name}' holds {values.dtype.name}, not numbers"
                 raise self.refusal(words, REMEDIES[1], name)
-            columns[name] = Column(
-                values.astype(values.dtype.newbyteorder("="), copy=False), units.get(name, "")
-            )
-        first, count = self.wanted[0], columns[self.wanted[0]].values.size
-        for name, (values, *_) in columns.items():
-            if values.size != count:
-                words = f"column '{name}' has {values.size} rows, column '{first}' has {count}"
+            values = values.astype(values.dtype.newbyteorder("="), copy=False)
+            columns[name] = Column(values, units.get(name, ""))
+            if values.size != columns[first].values.size:
+                words = (
+                    f"column '{name}' has {values.size} rows, column '{first}' has {columns[first].values.size}"
+                )
                 raise self.refusal(words, "export columns that were sampled together", name, first)
-        if count == 0:
+        if columns[first].values.size == 0:
             raise self.refusal("no data row", "check that the logger wrote data")
         TableStream.__init__(self, self.path, arrow_table(columns), self.numeric, self.label)

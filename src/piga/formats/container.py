@@ -89,9 +89,9 @@ class Hdf5(Container):
         values = np.asarray(cell[...])
         if cell.attrs.get("MATLAB_empty") or values.size == 0:
             return ""
-        return (
-            "".join(_characters(values)) if _class(cell) == "char" else label_text(values.reshape(-1)[0].item())
-        )
+        if _class(cell) == "char":
+            return "".join(_characters(values))
+        return label_text(values.reshape(-1)[0].item())
 
     def _find(self, name: str) -> tuple[Any, str | None]:
         """Find a dataset by name, only through hard links, and the field of a compound dataset."""
@@ -228,10 +228,8 @@ class Tdms(Container):
         with open_regular(self.path) as stream, nptdms.TdmsFile.open(stream) as source:
             channels = [channel for group in source.groups() for channel in group.channels()]
             self._columns = {f"{one.group_name}/{one.name}": one for one in channels} | _times(channels)
-            found = {name: self._find(name) for name in self.numeric}
-            units = {
-                name: "s" if isinstance(one, tuple) else _unit(one.properties) for name, one in found.items()
-            }
+            columns = [(name, self._find(name)) for name in self.numeric]
+            units = {name: "s" if isinstance(one, tuple) else _unit(one.properties) for name, one in columns}
             self.take(self._samples, units)
 
     def _find(self, name: str) -> Any:

@@ -34,14 +34,7 @@ GROUP_ROWS = 1 << 20
 
 
 class ParquetStream(RecordStream):
-    """The named columns of a Parquet file.
-
-    Raises
-    ------
-    DataError
-        If the file is not Parquet, lacks a column, or a column does not hold numbers. While chunks are taken also if a
-        page does not match its checksum.
-    """
+    """The named columns of a Parquet file."""
 
     def __init__(self, path: Path, numeric: tuple[str, ...], label: str | None) -> None:
         super().__init__(path, numeric, label)

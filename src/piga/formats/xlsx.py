@@ -40,14 +40,7 @@ _Row = tuple[int, tuple[Any, ...]]
 
 
 class Xlsx(Container):
-    """The named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds.
-
-    Raises
-    ------
-    DataError
-        If its unpacked size is too large, the sheet is ambiguous, or cells are not numbers. The message names row and
-        column letter of up to 100 cells.
-    """
+    """The named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds."""
 
     name, remedy = "XLSX", "save it again as .xlsx, without a password"
 
@@ -103,11 +96,8 @@ class Xlsx(Container):
         following = [[*_texts(row)] for _, row in rows[place + 1 : place + 3]]
         body = rows[place + 1 :]
         if following and is_units_row(following[0], *following[1:]):
-            written = zip(names, map(unit_text, following[0]), strict=False)
-            units, body = (
-                units | {name: unit for name, unit in written if name and unit not in NO_UNIT},
-                body[1:],
-            )
+            body, written = body[1:], zip(names, map(unit_text, following[0]), strict=False)
+            units |= {name: unit for name, unit in written if name and unit not in NO_UNIT}
         columns = self._cells(body, {name: names.index(name) for name in self.wanted})
         if not body:
             raise self.refusal("a header but no data", "check that the logger wrote data")

@@ -80,13 +80,7 @@ def read_record(
 
 
 def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: _StandReference) -> Run:
-    """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run.
-
-    Raises
-    ------
-    RunFileError, DataError
-        As :func:`read_record`.
-    """
+    """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run."""
     _check_reference(path, run_file)
     return assemble(path, run_file, collect(path, run_file.data, stream), stand_reference)
 
@@ -102,18 +96,14 @@ def _check_reference(path: Path, run_file: RunFile) -> None:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _StandReference) -> Run:
-    """Make a run of the columns of a data file: leave rows out, find gaps, convert, check. ``path`` is the run file.
-
-    Raises
-    ------
-    DataError
-        If the columns do not hold what the run file says. The message names file, row, column and remedy.
-    """
+    """Make a run of the columns of a data file: leave rows out, find gaps, convert, check. ``path`` is the run file."""
     data, instrument, rows_read = run_file.data, run_file.instrument, raw.count
     if isinstance(data.segment, PositionColumn):
         find_positions(raw, data.segment.holds_of)
     if data.output.kind == "pulses":
-        raw.numbers[data.output.column] = _summed(raw.numbers[data.output.column])
+        pulses = raw.numbers[data.output.column]  # a row without a number stays one; its pulses are lost
+        count = np.cumsum(np.nan_to_num(pulses))
+        raw.numbers[data.output.column] = np.where(np.isfinite(pulses), count, np.nan)
     t = _used_rows(raw, data)
     base = examine_time(t, raw.segment, raw.rows)
     raw.events += base.events
@@ -185,11 +175,6 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     return raw.keep_usable(t)
 
 
-def _summed(pulses: Array) -> Array:
-    """The running count of the pulses of each sample. A row without a number stays one; its pulses are lost."""
-    return np.where(np.isfinite(pulses), np.cumsum(np.nan_to_num(pulses)), np.nan)
-
-
 def _check_usable(raw: RawColumns) -> None:
     """Refuse a file without a usable row; count rows that are not used for a reason not counted before."""
     if not raw.usable.any():
@@ -205,12 +190,9 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
         return
     repeated = sum(event.count for event in raw.events if event.kind == "conflicting-row")
     if data.time is not None and 2 * repeated > rows_read:
-        words = "repeats itself in most rows: its times are rounded, or it is not the time"
-        remedy = (
-            "if they are rounded, give [data] sample_rate = '... Hz' in place of time; "
-            "otherwise name the column of the time"
-        )
-        raise raw.refusal(f"column '{data.time.column}' {words}", remedy, data.time.column)
+        name, where = data.time.column, "in place of time; otherwise name the column of the time"
+        words = f"column '{name}' repeats itself in most rows: its times are rounded, or it is not the time"
+        raise raw.refusal(words, f"if they are rounded, give [data] sample_rate = '... Hz' {where}", name)
     raise raw.refusal("fewer than two usable rows with increasing time", f"check {path}")
 
 

@@ -41,20 +41,14 @@ def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def leave_out_ranges(raw: RawColumns, wanted: Sequence[LeftOutTable]) -> None:
-    """Do not use the rows that the run file leaves out. Each range is an event with its reason.
-
-    Raises
-    ------
-    DataError
-        If a range ends before it begins, or holds no row of the file.
-    """
+    """Do not use the rows that the run file leaves out. Each range is an event with its reason."""
     for entry in wanted:
         low, high = entry.rows
         inside = (raw.rows >= low) & (raw.rows <= high)
         if not inside.any():
-            words = f"[data] leave_out: the file has no rows {low} to {high}"
             remedy = f"give the first and the last row to leave out, from {raw.rows[0]} to {raw.rows[-1]}"
-            raise DataError(f"{raw.path}: {words}", remedy=remedy, where=Where(raw.path, low))
+            words = f"{raw.path}: [data] leave_out: the file has no rows {low} to {high}"
+            raise DataError(words, remedy=remedy, where=Where(raw.path, low))
         raw.leave_out("left-out", inside, f"rows {low} to {high} are not used: {entry.reason}")
 
 
@@ -144,10 +138,8 @@ def note_norm(raw: RawColumns, f: Array) -> None:
     """Report a static reference (n, 3) whose norm is g times a factor between units."""
     norm = norms(f[:: max(1, -(-len(f) // SAMPLED))])
     typical = float(np.median(norm))
-    if typical <= 0.0 or float(np.quantile(np.abs(norm - typical), 0.9)) > 0.01 * typical:
-        return
-    words = _unit_factor(typical / G0, 0.01)
-    if words:
+    static = typical > 0.0 and float(np.quantile(np.abs(norm - typical), 0.9)) <= 0.01 * typical
+    if static and (words := _unit_factor(typical / G0, 0.01)):
         detail = f"|f| = {typical / G0:.5g} g in all positions: too {words}? check [data] reference unit"
         raw.events.append(Event("implausible-unit", raw.count, int(raw.rows[0]), detail))
 
@@ -157,8 +149,7 @@ def _note_rate(raw: RawColumns, wanted: Array, rate: Array, count: int, scale: O
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
     if strong.sum() < _STUCK:
         return
-    words = _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05)
-    if words:
+    if words := _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05):
         keys = ", scale_factor and counts_per_revolution" if scale.unit == "rad" else " and scale_factor"
         detail = f"the output is too {words}? check its unit{keys}"
         raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
@@ -183,11 +174,9 @@ def _note_stopped(
     still = ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
     still[1:] &= output[1:] == output[:-1]  # the first row begins a stretch
     start, length = _longest_run(still)
-    if length < _STUCK:
-        return
     run = slice(start, start + length)
-    expected = abs(per_step) * float(np.abs(a_x[run]) @ np.diff(t[start - 1 : start + length]))
-    if expected >= 10.0:
+    expected = abs(per_step) * float(np.abs(a_x[run]) @ np.diff(t[run], prepend=t[start - 1]))
+    if length >= _STUCK and expected >= 10.0:
         detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
         raw.events.append(Event("stopped-output", int(np.count_nonzero(still)), int(raw.rows[start]), detail))
 
@@ -199,124 +188,79 @@ def unwrapped(
 
     A folded reading is unwrapped to the nearest turn inside stretches. Between samples it must move by less
     than half its range. The check uses ``largest``: the largest output step [rad] between samples that the reference
-    allows; nan without a reference.
-
-    Raises
-    ------
-    DataError
-        If the reading is not a whole number, is outside its range, is too fast to unwrap, jumps, or was reset.
+    allows; nan without a reference. A jump that only a folded counter or a reset can make is refused.
     """
-    values, begins, span = raw.numbers[name], base.begins, scale.span
-    reading, lost = _Reading(raw, name, begins, scale, largest), np.zeros(values.size, np.bool_)
-    if scale.counts:
-        reading.check_counts()
+    values, begins, span, unit = raw.numbers[name], base.begins, scale.span, scale.unit
+    lost = np.zeros(values.size, np.bool_)
+
+    def refusal(words: str, remedy: str, at: int | None = None, key: str = "") -> DataError:
+        return raw.refusal(f"column '{name}': {words}", remedy, name, at=at, key=key)
+
+    bad = np.flatnonzero(((values != np.rint(values)) | (np.abs(values) >= 2.0**53)) & scale.counts)
+    if bad.size:
+        remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
+        raise refusal(f"{values[bad[0]]:.15g} is not a whole count", remedy, int(bad[0]))
+    step = changes(values)
     if span is None:
         psi = scaled(values, scale.factor)
-        reading.check_jump(psi)
-        reading.check_resets(changes(values))
-        return psi, stored(lost)
-    reading.check_range(span)
-    step = changes(values)
-    whole = np.round(step / span)
-    wraps = int(np.count_nonzero(whole[~begins]))
-    step -= np.multiply(whole, span, out=whole)
-    del whole
-    reading.check_speed(span * scale.factor, step, base.nominal)
-    reading.check_resets(step)
-    psi = stored(np.cumsum(step, out=step))
-    psi += values[0]
-    psi *= scale.factor
-    reading.check_jump(psi)
-    if not scale.keeps_phase:
-        lost[1:] = begins[1:]
-    if wraps:
-        raw.events.append(Event("counter-roll-over", wraps, None, "unwrapped"))
+    else:
+        top = int(np.argmax(values))
+        if values[top] - values.min() > span:
+            words = f"{values[top]:.17g} lies outside the range of {span:.17g}"
+            raise refusal(words, "correct [instrument] counter_bits (or wraps_at)", top, "counter_bits")
+        whole = np.round(step / span)
+        wraps = int(np.count_nonzero(whole[~begins]))
+        step -= np.multiply(whole, span, out=whole)
+        if wraps:
+            raw.events.append(Event("counter-roll-over", wraps, None, "unwrapped"))
+        fastest, half = largest, 0.5 * span * scale.factor
+        if np.isnan(largest):
+            fastest = 1.2 * scale.factor * float(np.abs(step[~begins]).max(initial=0.0))
+        if fastest >= half:
+            words = (
+                f"between samples the output may move by {fastest:.3g} {unit}, more than half of the counter's range "
+                f"({2.0 * half:.3g} {unit}): a roll-over cannot be recognised"
+            )
+            rate = 1.2 * fastest / base.nominal / half
+            raise refusal(words, f"sample at {rate:.3g} Hz or more, or use a wider counter")
+        psi = stored(np.cumsum(step))
+        psi += values[0]
+        psi *= scale.factor
+        lost[1:] = begins[1:] & (not scale.keeps_phase)
+    size = np.abs(changes(psi))
+    size[begins] = 0.0
+    at = int(np.argmax(size))
+    if size[at] > 10.0 * largest + 2.0:
+        words = f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {largest:.3g} {unit}"
+        remedy = (
+            "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
+            "if it was reset, start a new segment there; otherwise check scale_factor and the units"
+        )
+        raise refusal(words, remedy, at, "counter_bits")
+    if resets := _resets(values, step, begins, largest / scale.factor) if scale.counts else []:
+        more = ", ".join(str(raw.rows[at]) for at in resets[1:100])
+        also = f", and in rows {more}" if more else ""
+        phases = " and use phases = 'per-segment'" if unit == "rad" else ""
+        at = resets[0]
+        words = f"the counter goes to {values[at]:.17g}, by {step[at]:+.0f} counts{also}: it was reset there"
+        remedy = f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits"
+        raise refusal(words, remedy, at, "counter_bits")
     return psi, stored(lost)
 
 
-@dataclass(frozen=True)
-class _Reading:
-    """The refusals of a logged output, with what they share."""
+def _resets(values: Array, step: Array, begins: NDArray[np.bool_], largest: float) -> list[int]:
+    """Where a counter jumped to about zero inside a stretch, by more than it can have moved, and went on from there.
 
-    raw: RawColumns
-    name: str
-    begins: NDArray[np.bool_]
-    scale: OutputScale
-    largest: float
-
-    @property
-    def values(self) -> Array:
-        return self.raw.numbers[self.name]
-
-    def _refusal(self, at: int | None, words: str, remedy: str, key: str = "") -> DataError:
-        return self.raw.refusal(f"column '{self.name}': {words}", remedy, self.name, at=at, key=key)
-
-    def check_counts(self) -> None:
-        bad = (self.values != np.rint(self.values)) | (np.abs(self.values) >= 2.0**53)
-        at = int(np.argmax(bad))
-        if bad[at]:
-            remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
-            raise self._refusal(at, f"{self.values[at]:.15g} is not a whole count", remedy)
-
-    def check_range(self, span: float) -> None:
-        """Refuse readings that lie further apart than the range."""
-        at = int(np.argmax(self.values))
-        if self.values[at] - self.values.min() > span:
-            words = f"{self.values[at]:.17g} lies outside the range of {span:.17g}"
-            raise self._refusal(at, words, "correct [instrument] counter_bits (or wraps_at)", "counter_bits")
-
-    def check_speed(self, span: float, step: Array, nominal: float) -> None:
-        """Refuse an output that may move by half the range between samples: a roll-over could not be recognised."""
-        unit, largest = self.scale.unit, self.largest
-        if np.isnan(largest):
-            largest = 1.2 * self.scale.factor * float(np.abs(step[~self.begins]).max(initial=0.0))
-        if largest >= 0.5 * span:
-            rate = 1.2 * largest / nominal / (0.5 * span)
-            words = (
-                f"between samples the output may move by {largest:.3g} {unit}, more than half of the counter's range "
-                f"({span:.3g} {unit}): a roll-over cannot be recognised"
-            )
-            raise self._refusal(None, words, f"sample at {rate:.3g} Hz or more, or use a wider counter")
-
-    def check_jump(self, psi: Array) -> None:
-        """Refuse an output with a jump that only a folded counter or a reset can make."""
-        size, unit, largest = changes(psi), self.scale.unit, self.largest
-        np.abs(size, out=size)  # in place: a long column is not copied
-        size[self.begins] = 0.0
-        at = int(np.argmax(size))
-        if size[at] > 10.0 * largest + 2.0:
-            raise self._refusal(
-                at,
-                f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {largest:.3g} {unit}",
-                "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
-                "if it was reset, start a new segment there; otherwise check scale_factor and the units",
-                "counter_bits",
-            )
-
-    def check_resets(self, step: Array) -> None:
-        """Refuse a counter that jumped to about zero inside a stretch, by more than it can have moved, and went on from there.
-
-        No other step within three samples is a third as large.
-        """
-        largest = self.largest / self.scale.factor
-        sudden = np.flatnonzero((np.abs(step) > 1.5 * largest + 10.0) & ~self.begins & self.scale.counts)
-        resets = []
-        for at in sudden[np.abs(self.values[sudden]) <= largest + 2.0].tolist():
-            window = slice(max(at - 3, 0), at + 4)
-            size = np.sort(np.abs(step[window]) * ~self.begins[window])
-            if size.size > 1 and size[-2] < abs(step[at]) / 3.0:
-                resets.append(at)
-        if not resets:
-            return
-        more = ", ".join(str(self.raw.rows[k]) for k in resets[1:100])
-        also = f", and in rows {more}" if more else ""
-        phases = " and use phases = 'per-segment'" if self.scale.unit == "rad" else ""
-        raise self._refusal(
-            resets[0],
-            f"the counter goes to {self.values[resets[0]]:.17g}, by {step[resets[0]]:+.0f} counts{also}: it was reset there",
-            f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits",
-            "counter_bits",
-        )
+    No other step within three samples is a third as large.
+    """
+    resets = []
+    sudden = np.flatnonzero((np.abs(step) > 1.5 * largest + 10.0) & ~begins & (np.abs(values) <= largest + 2.0))
+    for at in sudden.tolist():
+        window = slice(max(at - 3, 0), at + 4)
+        size = np.sort(np.abs(step[window]) * ~begins[window])
+        if size.size > 1 and size[-2] < abs(step[at]) / 3.0:
+            resets.append(at)
+    return resets
 
 
 BLOCKS = 4000

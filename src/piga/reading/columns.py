@@ -22,13 +22,7 @@ from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, scaled, stored, taken
 from piga.records.calibration import Event, counted
-from piga.records.limits import (
-    LARGEST_SAMPLE,
-    MAX_SEGMENTS,
-    MOST_NAME_LETTERS,
-    open_regular,
-    read_whole,
-)
+from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
 from piga.results import Array
@@ -39,13 +33,7 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
 
 
 def open_stream(folder: Path, data: DataTable) -> RecordStream:
-    """Open the data file of a run file. ``folder`` is that of the run file; ``data`` is its ``[data]`` table.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read as requested: at once, or while its chunks are taken. Names file, row and column.
-    """
+    """Open the data file of a run file. ``folder`` is that of the run file; ``data`` is its ``[data]`` table."""
     path, columns = folder / data.file, (tuple(data.number_columns()), data.label_column)
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
@@ -86,11 +74,6 @@ def columns_stream(
 
     ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
     :class:`piga.formats.text.reader.TextStream`.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read as requested: at once, or while its chunks are taken.
     """
     kind = file_kind(path)
     if kind in TEXT_SUFFIXES:
@@ -125,24 +108,9 @@ _MAX_SIDECAR = 1 << 16
 class RawColumns:
     """The columns of a file, and what was noticed while reading.
 
-    Attributes
-    ----------
-    path:
-        The data file.
-    numbers:
-        Values (n,) in the units of the file, by column.
-    segment, labels:
-        Index of the segment of each row (n,), -1 without one, and the names of the segments.
-    rows:
-        1-based file rows (n,).
-    units:
-        Unit of each column for which the file states one.
-    events:
-        Faults and omissions so far.
-    inputs:
-        SHA-256 of the data file and of its ``.sha256`` file, by name.
-    usable:
-        False (n,) for a row that is not used.
+    ``numbers`` holds values (n,) in the units of the file by column; ``units`` those that the file states. ``segment`` (n,) is
+    the index into ``labels``, -1 without one. ``rows`` (n,) are 1-based file rows; ``usable`` (n,) is False for a row that is
+    not used. ``inputs``: SHA-256 of the data file and of its ``.sha256`` file, by name.
     """
 
     path: Path
@@ -216,13 +184,7 @@ class RawColumns:
 
 
 def read_columns(folder: Path, data: DataTable) -> RawColumns:
-    """Read the whole data file of a run file.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read as the run file says, does not match its ``.sha256``, or changes while it is read.
-    """
+    """Read the whole data file of a run file. It must match its ``.sha256`` and must not change while it is read."""
     path = folder / data.file
     with steady(path, "[data] file is relative to the run file"):
         sidecar = _sidecar(path)
@@ -237,13 +199,7 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
 
 
 def read_series(folder: Path, data: DataTable, names: Sequence[str]) -> tuple[Array, Array, dict[str, str]]:
-    """Values (n, k) of named columns and time (n,) [s] of the rows that have all of them, and the digests of the files.
-
-    Raises
-    ------
-    DataError
-        As :func:`read_columns`.
-    """
+    """Values (n, k) of named columns and time (n,) [s] of the rows that have all of them, and the digests of the files."""
     raw = read_columns(folder, data)
     values, t = np.column_stack([raw.numbers[name] for name in names]), raw.time(data)
     used = np.isfinite(values).all(axis=1) & np.isfinite(t)
@@ -271,9 +227,6 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
         filled = np.isin(values, fills)
         values[filled] = np.nan
         raw.note("missing-value", filled, f"column '{name}'")
-    import pyarrow as pa
-
-    pa.default_memory_pool().release_unused()
     return raw
 
 
@@ -282,43 +235,35 @@ def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
     if len(labels) > MAX_SEGMENTS:
         words = f"column '{column}' has more than {MAX_SEGMENTS} different segments"
         raise refusal(path, words, "name the column that numbers the positions", column)
-    for label in labels:
-        if len(label) > MOST_NAME_LETTERS:
-            words = f"column '{column}': the label '{label[:40]}...' has {len(label)} characters"
-            raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
+    longest = max(labels, key=len, default="")
+    if len(longest) > MOST_NAME_LETTERS:
+        words = f"column '{column}': the label '{longest[:40]}...' has {len(longest)} characters"
+        raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
     """Refuse numbers that no instrument gives and whose squares overflow. Non-finite values are counted elsewhere."""
-    size = np.abs(chunk.numbers[name])
-    bad = (size > LARGEST_SAMPLE) & (size < np.inf)
-    if bad.any():
-        at = int(np.argmax(bad))
-        row = int(chunk.rows[at])
-        words = f"row {row}, column '{name}': {chunk.numbers[name][at]:g} is too large to compute with"
+    values = chunk.numbers[name]
+    bad = np.flatnonzero((np.abs(values) > LARGEST_SAMPLE) & (np.abs(values) < np.inf))
+    if bad.size:
+        row = int(chunk.rows[bad[0]])
+        words = f"row {row}, column '{name}': {values[bad[0]]:g} is too large to compute with"
         raise DataError(f"{path}: {words}", remedy="correct it in the file", where=Where(path, row, (name,)))
 
 
 @contextmanager
 def steady(path: Path, remedy: str) -> Iterator[None]:
-    """Refuse a file that changes or is replaced while the block runs.
+    """Refuse a file that changes or is replaced while the block runs."""
 
-    Raises
-    ------
-    DataError
-        If it does, does not exist or is not a regular file. The message names the file.
-    """
-    before = _state(path, remedy)
+    def state() -> tuple[int, int, int, int]:
+        with open_regular(path, f"the file; {remedy}") as stream:
+            status = os.fstat(stream.fileno())
+        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+
+    before = state()
     yield
-    if _state(path, remedy) != before:
+    if state() != before:
         raise refusal(path, "the file changed while it was read", "stop what writes it, then try again")
-
-
-def _state(path: Path, remedy: str) -> tuple[int, int, int, int]:
-    """State of a file that every change alters: size, times and identity."""
-    with open_regular(path, f"the file; {remedy}") as stream:
-        status = os.fstat(stream.fileno())
-    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def stand_files(table: Any) -> list[str]:

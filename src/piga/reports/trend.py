@@ -13,7 +13,7 @@ import numpy as np
 
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
-from piga.reports.render.numbers import fixed, pretty_unit, rounded, short, signed
+from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
@@ -130,8 +130,8 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
     ahead = None if at is None else drifts.years(at)
     span = drifts.years(drifts.times[-1])
-    alarms = [Notice("problem", alarm) for alarm in drifts.alarms]
-    remarks = (Notice("warning", remark) for remark in drifts.remarks)
+    alarms = [Notice("problem", printed(alarm)) for alarm in drifts.alarms]
+    remarks = (Notice("warning", printed(remark)) for remark in drifts.remarks)
     judged = (*(alarms or [Notice("good", "No record is out of control.")]), *remarks)
     sections = [
         Section("Judgement", "judgement", judged),

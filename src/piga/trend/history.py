@@ -150,22 +150,22 @@ class CoefficientTrend(Result):
         unit = f" {unit}".removesuffix(" 1")
         for point, date in zip(self.points, dates, strict=True):
             if point.outside and point.forecast is not None:
+                side = "above" if point.score > 0.0 else "below"
                 yield (
                     f"{self.key}: record {point.record} of {date:%Y-%m-%d} shows {point.value * scale:.7g}{unit}, "
-                    f"{abs(point.score):.1f} standard deviations {'above' if point.score > 0.0 else 'below'} the forecast "
-                    f"from earlier records, {point.forecast.value * scale:.7g}{unit} (limit 3)."
+                    f"{abs(point.score):.1f} standard deviations {side} the forecast from earlier records, "
+                    f"{point.forecast.value * scale:.7g}{unit} (limit 3)."
                 )
 
         def since(day: int) -> str:
             first = next(i for i, point in enumerate(self.points) if point.day == day)
             return f"{self.key}: from {dates[first]:%Y-%m-%d} (record {self.points[first].record})"
 
-        if self.stepped and self.step is not None:
-            size = _to_two_digits_of(self.step.std * scale, abs(self.step.size) * scale)
+        if self.stepped and (step := self.step):
+            size = _to_two_digits_of(step.std * scale, abs(step.size) * scale)
             yield (
-                f"{since(self.step.day)} on the values are {size}{unit} {'higher' if self.step.size > 0.0 else 'lower'} "
-                "than a line through the earlier ones says. If the instrument was changed then, judge its trend from that "
-                "day on."
+                f"{since(step.day)} on the values are {size}{unit} {'higher' if step.size > 0.0 else 'lower'} than a line "
+                "through the earlier ones says. If the instrument was changed then, judge its trend from that day on."
             )
         for day in np.flatnonzero(self.chart.shifted)[:1].tolist():
             side = "above" if self.chart.average[day] > 0.0 else "below"
@@ -234,15 +234,15 @@ class Trend(Result, Reported):
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the trend."""
-        drifts = [(c.key, c.drift) for c in self.coefficients]
+        drifts = {
+            c.key: f"{c.drift.value:.3g} +- {c.drift.std:.2g} a year" if c.drift else "too few days"
+            for c in self.coefficients
+        }
         return [
             ("instrument", self.serial),
             ("records", f"{len(self.records)}, {self.times[0]:%Y-%m-%d} to {self.times[-1]:%Y-%m-%d}"),
             ("alarms", "; ".join(self.alarms) or "none"),
-            *(
-                (key, "too few days" if d is None else f"{d.value:.3g} +- {d.std:.2g} a year")
-                for key, d in drifts
-            ),
+            *drifts.items(),
         ]
 
 
@@ -294,28 +294,24 @@ def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Tren
 
 
 def _check(entries: Sequence[HistoryEntry], common: Common) -> None:
-    if len(entries) < 2:
-        raise ArgumentError(
-            f"a trend needs at least two records, not {len(entries)}",
-            remedy="add calibrations of the instrument",
-        )
     serials = sorted({calibration.serial for _, _, calibration in entries})
+    shares = common if isinstance(common, Mapping) else {"common": common}
+    if len(entries) < 2:
+        words = f"a trend needs at least two records, not {len(entries)}"
+        raise ArgumentError(words, remedy="add calibrations of the instrument")
     if len(serials) > 1:
-        raise ArgumentError(
-            f"the records are of different instruments: {', '.join(serials)}", remedy="give those of one"
-        )
+        words = f"the records are of different instruments: {', '.join(serials)}"
+        raise ArgumentError(words, remedy="give those of one")
     for name, count in Counter(name for name, *_ in entries).items():
         if count > 1:
             raise ArgumentError(f"record '{name}' is given twice", remedy="give each record once")
     for name, time, _ in entries:
         if time.tzinfo is None:
             raise ArgumentError(f"record '{name}': its time has no time zone", remedy="give it in UTC")
-    for source, part in common.items() if isinstance(common, Mapping) else [("common", common)]:
+    for source, part in shares.items():
         if not 0.0 <= part <= 1.0:
-            raise ArgumentError(
-                f"{source}: a shared part of {part!r} is not between 0 and 1",
-                remedy="give a share of the variance, e.g. 0.5",
-            )
+            words = f"{source}: a shared part of {part!r} is not between 0 and 1"
+            raise ArgumentError(words, remedy="give a share of the variance, e.g. 0.5")
 
 
 @dataclass(frozen=True)
@@ -416,13 +412,7 @@ def _shared_part(common: Common, source: str) -> float:
     return 1.0 if isinstance(common, Mapping) else float(common)
 
 
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
 def _to_two_digits_of(half: float, number: float) -> str:
-    """A number rounded to the second digit of a half-width, written as in the tables: ``−1.45 × 10⁻⁶``."""
-    last = math.floor(math.log10(half)) - 1
-    first = math.floor(math.log10(abs(number))) if number else last
-    power = first if first < -3 else 0
-    text = f"{round(number, -last) / 10.0**power:.{max(power - last, 0)}f}".replace("-", "−")
-    return f"{text} × 10{str(power).translate(_SUPERSCRIPT)}" if power else text
+    """A number rounded to the second digit of a half-width."""
+    last = 1 - math.floor(math.log10(half))
+    return f"{round(number, last):.{max(last, 0)}f}" if last < 5 else f"{round(number, last):.12g}"

@@ -77,21 +77,11 @@ class HeadRows:
 
 
 def find_format(
-    text: str,
-    path: Path,
-    encoding: str,
-    separator: str | None,
-    decimal: str | None,
-    rows: HeadRows,
+    text: str, path: Path, encoding: str, separator: str | None, decimal: str | None, rows: HeadRows
 ) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
     ``separator`` and ``decimal`` are those of the run file; None: detected.
-
-    Raises
-    ------
-    DataError
-        If there is no header or no data, a column name is repeated, or two readings are possible.
     """
     lines = lines_of(text)
     header_at = _header_at(lines, rows, path)

@@ -46,21 +46,10 @@ _MOST_SEARCHED = 200
 class TextStream(RecordStream):
     """The named columns of a text file, plain or ``.gz``, chunk by chunk.
 
-    Parameters
-    ----------
-    separator, decimal, encoding, rows:
-        From the run file; None: detected from the file.
-    stamp:
-        Name and form of a number column that holds time stamps. It is given in seconds since the first midnight.
-    missing:
-        Further words that mean a missing value.
-    mask_damaged:
-        Leave damaged rows out and count them by kind, instead of refusing the file.
-
-    Raises
-    ------
-    DataError
-        If the file cannot be read. The message names file, row, column, the faulty text and the remedy.
+    ``separator``, ``decimal``, ``encoding`` and ``rows`` are those of the run file; None: detected from the file. ``stamp``:
+    name and form of a number column that holds time stamps. It is given in seconds since the first midnight. ``missing``:
+    further words that mean a missing value. ``mask_damaged``: leave damaged rows out and count them by kind, instead of
+    refusing the file.
     """
 
     def __init__(
@@ -119,12 +108,8 @@ class TextStream(RecordStream):
             words = f"row {self._row} has no line end: it is not used"
             events.append(Event("truncated-last-line", 1, self._row, words))
         events += self._faults.events()
-        blank = (
-            self._last_filled
-            - self._form.skip
-            - self._read
-            - sum(event.count for event in self._faults.events())
-        )
+        lines = self._last_filled - self._form.skip
+        blank = lines - self._read - sum(event.count for event in self._faults.events())
         if blank > 0:
             events.append(Event("blank-line", blank, None, "skipped"))
         return events + super().events()
@@ -158,9 +143,7 @@ class TextStream(RecordStream):
             table = csv.read_csv(
                 pa.BufferReader(pa.py_buffer(raw)),
                 read_options=csv.ReadOptions(
-                    column_names=list(form.names),
-                    block_size=_BLOCK_BYTES,
-                    use_threads=len(raw) > _BLOCK_BYTES,
+                    column_names=list(form.names), block_size=_BLOCK_BYTES, use_threads=len(raw) > _BLOCK_BYTES
                 ),
                 parse_options=csv.ParseOptions(delimiter=form.separator),
                 convert_options=csv.ConvertOptions(
@@ -289,9 +272,8 @@ class Fault(NamedTuple):
 
 @dataclass
 class Faults:
-    """Faults of a file, added in the order of its rows.
+    """Faults of a file, added in the order of its rows: the first ones, and the number of all.
 
-    ``listed`` holds the first ones, ``total`` is the number of all.
     ``kinds``: number of rows with a fault and the first row, by kind. A row counts once, by its first fault.
     """
 
@@ -347,9 +329,8 @@ def _cells(row: int, line: bytes, form: TextFormat) -> list[str] | Fault:
     words = f"row {row} has {len(cells)} cell{'s' if len(cells) != 1 else ''}, the header has {len(form.names)}"
     if len(cells) < len(form.names):
         return Fault("short-row", words)
-    return Fault(
-        "long-row", words, "; commas as decimal marks need another separator" if form.separator == "," else ""
-    )
+    hint = "; commas as decimal marks need another separator" if form.separator == "," else ""
+    return Fault("long-row", words, hint)
 
 
 def _value(row: int, cell: str, form: TextFormat, name: str, tokens: set[str]) -> float | str | Fault | None:

@@ -23,11 +23,7 @@ from piga.records.limits import open_regular
 
 GUESSED = ("gb18030", "cp1252")
 """Encodings tried for a text that is not UTF-8: Chinese Windows, Western Windows."""
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _DECLARE, _ENCODING = "add [data] encoding = '...'", (Fix("data", "encoding"),)
 """What helps where the encoding is not known: in words, and as a key of the run file."""
 _EXPORT = "check that this is the log; export it again"
@@ -39,11 +35,6 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
 
     The order is: as declared; byte-order mark; strict UTF-8; else GB18030 or cp1252, whichever shows more of the
     ``wanted`` column names. If both show the same, the bytes decide: see :func:`looks_western`.
-
-    Raises
-    ------
-    DataError
-        If the declared encoding does not exist, or the bytes are text in none of the tried ones.
     """
     if declared is not None:
         return _declared(declared, path)
@@ -97,7 +88,6 @@ MAX_LINE = 16 << 20
 """Longest line [bytes]."""
 MAX_HEAD = 1 << 20
 """Bytes within which header, units and first data row must lie."""
-_LINE_END = re.compile(rb"\r\n|\n|\r")
 _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 """Encodings that need no conversion."""
 
@@ -105,28 +95,12 @@ _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 class TextSource:
     """Lines of a text file.
 
-    Attributes
-    ----------
-    encoding:
-        Encoding of the file; see :func:`find_encoding`.
-    head:
-        The complete lines within the first :data:`MAX_HEAD` bytes, as UTF-8.
-    cut:
-        True, after the last piece, if the last line had no line end and was left out.
-
-    Raises
-    ------
-    DataError
-        If the file is missing, empty, damaged or not text in its encoding, or its first lines are too long.
+    ``head`` holds the complete lines within the first :data:`MAX_HEAD` bytes, as UTF-8. ``cut`` is True, after the last piece,
+    if the last line had no line end and was left out.
     """
 
     def __init__(
-        self,
-        path: Path,
-        encoding: str | None,
-        *,
-        wanted: Iterable[str] = (),
-        first_rows: int = 0,
+        self, path: Path, encoding: str | None, *, wanted: Iterable[str] = (), first_rows: int = 0
     ) -> None:
         self.path, self.cut = path, False
         first = next(self._blocks(MAX_HEAD + 1), b"")
@@ -147,14 +121,9 @@ class TextSource:
             words = "a line too long, or too many comments: header, units and first data row must lie within the first"
             raise refusal(path, f"{words} {MAX_HEAD >> 20} MiB", _EXPORT, row=len(lines) + 1)
 
-    def header_bytes(self, skip: int) -> int:
-        """Size of the first ``skip`` lines [bytes]."""
-        ends = [match.end() for _, match in zip(range(skip), _LINE_END.finditer(self.head), strict=False)]
-        return 0 if skip == 0 else ends[-1] if len(ends) == skip else len(self.head)
-
     def pieces(self, skip: int) -> Iterator[bytes]:
         """Complete lines in order, without the first ``skip``."""
-        header, rest = self.header_bytes(skip), b""
+        header, rest = sum(map(len, self.head.splitlines(keepends=True)[:skip])), b""
         for block in self._as_utf8(self._blocks(PIECE_BYTES)):
             data = rest + (block.replace(b"\r", b"\n") if self._only_cr else block)
             dropped = min(header, len(data))

@@ -100,13 +100,7 @@ class TimeStamp:
 
 @lru_cache(maxsize=64)
 def time_stamp(form: str) -> TimeStamp:
-    """The form written in a run file.
-
-    Raises
-    ------
-    RunFileError
-        If it lacks hours or minutes, has part of a date, or repeats a part.
-    """
+    """The form written in a run file. One that lacks hours or minutes, has part of a date or repeats a part is refused."""
     if form == "iso":
         return TimeStamp(form, re.compile(ISO, re.ASCII))
     pattern, at, parts = "", 0, []

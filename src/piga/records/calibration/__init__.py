@@ -1,12 +1,6 @@
 """The calibration record as plain data: coefficients, budget, residuals, diagnostics, verdict, and its JSON document."""
 
-from piga.records.calibration.calibration import (
-    Calibration,
-    CalibrationPlots,
-    Given,
-    Provenance,
-    RunRecord,
-)
+from piga.records.calibration.calibration import Calibration, CalibrationPlots, Given, Provenance, RunRecord
 from piga.records.calibration.coefficient import (
     Amount,
     BudgetEntry,

@@ -27,14 +27,7 @@ from piga.records.calibration.coefficient import (
     is_of_reference,
     rounded,
 )
-from piga.records.calibration.diagnostics import (
-    Count,
-    Diagnostics,
-    Outlier,
-    Quality,
-    Residuals,
-    SegmentSummary,
-)
+from piga.records.calibration.diagnostics import Count, Diagnostics, Outlier, Quality, Residuals, SegmentSummary
 from piga.records.calibration.verdict import Verdict, verdict
 from piga.records.terms import GYRO, integral_unit, si_factor
 from piga.results import (

@@ -20,15 +20,7 @@ from numpy.typing import ArrayLike
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError, PigaError, UnitError, Where
 from piga.output import check_results
-from piga.records.calibration import (
-    Amount,
-    BudgetEntry,
-    Calibration,
-    Coefficient,
-    Given,
-    Provenance,
-    Quality,
-)
+from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient, Given, Provenance, Quality
 from piga.records.calibration.coefficient import Level
 from piga.records.calibration.diagnostics import ComparedSet
 from piga.records.calibration.verdict import COUNTED
