@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from piga.calibration.model.reduction import Reduction, solve_upper, triangle
 from piga.calibration.model.solution import Estimate, Layout
 from piga.errors import IdentifiabilityError
+from piga.records.calibration.coefficient import Level, Number
 from piga.results import Array
 
 _ALONE = 1e-3
@@ -51,10 +52,10 @@ class Repetition:
 
     part: Reduction
     group: int
-    variance: float
+    variance: Level
     name: str
-    begin: float
-    end: float
+    begin: Number
+    end: Number
     run: int = 0
     block: bool = False
 

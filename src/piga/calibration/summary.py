@@ -33,6 +33,7 @@ from piga.output import check_results
 from piga.progress import SILENT, Steps
 from piga.records.arrays import largest_size
 from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary, StandSource
+from piga.records.calibration.coefficient import Level, Number
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw
@@ -62,12 +63,12 @@ class SourceSummary:
     """
 
     name: str
-    value: float
+    value: Number
     unit: str
     parts: tuple[Reduction, ...]
     distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
-    known_servo: tuple[tuple[str, float], ...] = ()
+    degrees_of_freedom: Level = math.inf
+    known_servo: tuple[tuple[str, Number], ...] = ()
     draw: Draw = "reference"
     segments: tuple[tuple[int, Reduction], ...] = ()
     in_fit: bool = False
@@ -109,15 +110,15 @@ class RunSummary(Result):
 
     name: str
     serial: str
-    scale_factor: float
+    scale_factor: Level
     kind: str
     terms: tuple[str, ...]
     per_run: tuple[str, ...] | None
     phases: str
-    temperature_reference: float
-    time_reference: float
+    temperature_reference: Level
+    time_reference: Number
     noise: Noise
-    inner_scale_factor: float
+    inner_scale_factor: Level
     turning: bool
     labels: tuple[str | None, ...]
     positions: tuple[Repetition, ...]
@@ -127,14 +128,14 @@ class RunSummary(Result):
     undetermined: tuple[str, ...]
     quality: Quality
     segments: tuple[SegmentSummary, ...]
-    figures: dict[str, float]
-    ranges: dict[str, tuple[float, float]]
+    figures: dict[str, Level]
+    ranges: dict[str, tuple[Number, Number]]
     input_sha256: dict[str, str] = field(default_factory=dict)
     source: str = ""
     software: str = ""
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
-    known_servo: tuple[tuple[str, float], ...] = ()
+    known_servo: tuple[tuple[str, Number], ...] = ()
     stand_sources: tuple[StandSource, ...] = ()
     unit: str = GYRO
 
@@ -467,7 +468,7 @@ def _restore(document: dict[str, Any]) -> None:
         document["phases"] = document.pop("phase")
     for part in sources if isinstance(sources, list) else ():
         if isinstance(part, dict) and part.get("degrees_of_freedom", 0.0) is None:
-            part["degrees_of_freedom"] = math.inf
+            del part["degrees_of_freedom"]
 
 
 def _damages(summary: RunSummary) -> Iterator[str]:
@@ -477,9 +478,6 @@ def _damages(summary: RunSummary) -> Iterator[str]:
     held = {position.group for position in summary.positions}
     if not _whole(parts, len(parts)) or held != set(range(groups)):
         yield "summaries are"
-    levels = (summary.noise.white, summary.noise.walk, *(position.variance for position in summary.positions))
-    if not all(math.isfinite(level) and level >= 0.0 for level in levels):
-        yield "noise levels are"
     for source in summary.sources:
         drawn = source.draw == "segment"
         own = [group for group, _ in source.segments]

@@ -20,6 +20,7 @@ from piga._kernels.estimation import innovation_weights, rate_sums, whiten
 from piga.calibration.model.design import Block, Design, joined_rows
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.records.arrays import empty, largest_size, spans, stored
+from piga.records.calibration.coefficient import Level
 from piga.records.run import Run
 from piga.results import Array
 
@@ -39,11 +40,11 @@ class Noise:
     position by the run file (sources with a new value at each position), ``counted`` that by rounding; empty if there is none.
     """
 
-    white: float
-    walk: float
-    scatter: float = 0.0
-    stated: tuple[float, ...] = ()
-    counted: tuple[float, ...] = ()
+    white: Level
+    walk: Level
+    scatter: Level = 0.0
+    stated: tuple[Level, ...] = ()
+    counted: tuple[Level, ...] = ()
 
     @property
     def angle_rms(self) -> float:
