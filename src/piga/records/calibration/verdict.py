@@ -90,11 +90,8 @@ class Verdict:
     @property
     def sources(self) -> str:
         """What the uncertainties contain: ``Type A and 1 of 9 sources``."""
-        return (
-            _in_budget(self.stated, self.unstated)
-            if self.stated or self.unstated
-            else "no source of the stand is known"
-        )
+        known = self.stated or self.unstated
+        return _in_budget(self.stated, self.unstated) if known else "no source of the stand is known"
 
     @property
     def warns_of_noise(self) -> bool:
@@ -122,25 +119,23 @@ class Verdict:
 
 def verdict(calibration: Calibration) -> Verdict:
     """The verdict on a calibration. It uses only the record, so it is the same after writing and reading."""
+    notes = tuple(Doubt(note) for note in calibration.notes)
     if calibration.given:
-        return Verdict(
-            tuple(Doubt(note) for note in calibration.notes), not_tested=("a record: there is none",)
-        )
+        return Verdict(notes, not_tested=("a record: there is none",))
     first = [*_nominal(calibration), *_explained(calibration)]
     remedies = " ".join(item.remedy for item in first if isinstance(item, Doubt))
     statements = [
         *first,
         *_creep(calibration),
-        *(Doubt(note) for note in calibration.notes if note not in remedies),
+        *(note for note in notes if note.what not in remedies),
         *_whiteness(calibration),  # after what may be its cause
         *_separation(calibration),
         *_rows(calibration),
         *_unstated(calibration),
     ]
     doubts = [item for item in statements if isinstance(item, Doubt)]
-    doubts.sort(key=lambda doubt: not doubt.grave)
     return Verdict(
-        doubts=tuple(doubts),
+        doubts=tuple(sorted(doubts, key=lambda doubt: not doubt.grave)),
         tested=tuple(item for item in statements if isinstance(item, str)),
         not_tested=tuple(_not_tested(calibration)),
         stated=_names(calibration.sources, *_STATED),
@@ -167,11 +162,10 @@ def _nominal(calibration: Calibration) -> Iterator[str | Doubt]:
         yield f"K is within {100.0 * tolerance:.3g} % of its nominal value"
         return
     size = f"{ratio:.4g} times" if abs(ratio - 1.0) > 0.5 else f"{100.0 * (ratio - 1.0):+.2g} % off"
-    remedy = (
-        "; ".join(calibration.diagnostics.advice)
-        or "check the nominal value, units and signs of reference, output and time"
-        f"{'' if calibration.direct else ', and the counts per revolution'}; or state [model] scale_factor_tolerance"
-    )
+    counts = "" if calibration.direct else ", and the counts per revolution"
+    check = f"check the nominal value, units and signs of reference, output and time{counts}"
+    advice = "; ".join(calibration.diagnostics.advice)
+    remedy = advice or f"{check}; or state [model] scale_factor_tolerance"
     yield Doubt(f"the scale factor is {size} the nominal one", remedy, grave=True)
 
 
@@ -199,10 +193,8 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     contained = "the intervals come from the scatter of the positions, which contains it"
     within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
     if tests.verdict == COUNTED:
-        yield (
-            f"the whitened residuals correlate as whole counts make them, and no further (p = "
-            f"{tests.counting_probability:.2g})"
-        )
+        words = "the whitened residuals correlate as whole counts make them, and no further"
+        yield f"{words} (p = {tests.counting_probability:.2g})"
     elif tests.verdict == "white":
         yield f"the whitened residuals are white {tested}"
     else:
@@ -214,10 +206,8 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
             remedy = "look for lines in the residuals by revolution order, and for suggested terms"
         if within and abs(neighbours) > _CORRELATED:
             size = math.sqrt((1.0 + abs(neighbours)) / max(1.0 - abs(neighbours), 1e-3))
-            yield Doubt(
-                f"{what}: intervals from the noise within one position are about {size:.2g} times too small",
-                remedy,
-            )
+            small = f"intervals from the noise within one position are about {size:.2g} times too small"
+            yield Doubt(f"{what}: {small}", remedy)
         else:
             yield f"{what}: {contained}; {remedy}"
     size_words = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
@@ -265,10 +255,8 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
         share = "all" if lost == 0.0 else f"{100.0 * (1.0 - lost):.4g} % of the"
         yield f"{share} rows of the positions were used"
         return
-    what = (
-        f"only {100.0 * (1.0 - lost):.3g} % of the rows were used: the others would move a coefficient by up to "
-        f"{2.0 * math.sqrt(lost):.2g} u (95 %)"
-    )
+    moved = f"the others would move a coefficient by up to {2.0 * math.sqrt(lost):.2g} u (95 %)"
+    what = f"only {100.0 * (1.0 - lost):.3g} % of the rows were used: {moved}"
     yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
 
 
@@ -291,15 +279,13 @@ def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
     contained = f"the uncertainties contain {_in_budget(_names(sources, *_STATED), open_ones)}"
     if open_ones:
         alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
-        yield Doubt(
-            f"{alone}T{contained[1:]}; not stated: "
-            f"{', '.join(map(_open_words, open_ones))}{_largest_effects(calibration, open_ones)}",
-            'state them in [uncertainty], or waive one with a reason: waived = { timing = "clock of the laboratory" }',
-        )
+        named = ", ".join(map(_open_words, open_ones))
+        what = f"{alone}T{contained[1:]}; not stated: {named}{_largest_effects(calibration, open_ones)}"
+        example = 'waived = { timing = "clock of the laboratory" }'
+        yield Doubt(what, f"state them in [uncertainty], or waive one with a reason: {example}")
     elif calibration.type_a_only and not sources:
-        yield Doubt(
-            TYPE_A_ONLY, "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
-        )
+        remedy = "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
+        yield Doubt(TYPE_A_ONLY, remedy)
     elif sources:
         yield f"{contained} of the stand"
     yield from (_open_words(source) for source in sources if source.status == "bounded")
