@@ -19,7 +19,12 @@ from piga.calibration.model_choice import compare_models
 from piga.calibration.orders import residual_angles
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.creep import creep_in_words, creep_of_runs
-from piga.calibration.remarks.left_out import CUBIC_SOURCE, DAMPING_SOURCE, LeftOut
+from piga.calibration.remarks.left_out import (
+    CUBIC_SOURCE,
+    DAMPING_SOURCE,
+    LACKING_SOURCE,
+    LeftOut,
+)
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
 from piga.calibration.residuals import (
@@ -48,7 +53,7 @@ from piga.records.calibration import (
     SegmentSummary,
 )
 from piga.records.calibration.verdict import scale_over_nominal
-from piga.records.terms import GYRO
+from piga.records.terms import GYRO, SERVO_TERMS
 from piga.results import Array
 
 
@@ -288,6 +293,8 @@ def _suggested(
     """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
     also = "; the scatter of the segments may be the same effect" if scattered else ""
     sources = [doubt.source for doubt in doubts]
+    if LACKING_SOURCE in sources:
+        missing = tuple(entry for entry in missing if not {*SERVO_TERMS, "k3"} & {*entry.terms})
     words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
     said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
     said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()

@@ -10,39 +10,25 @@ too (docs/understanding/servo).
 A servo that is not named and not clear is a source of Type B, too: the record excludes it only above some size. What it may
 move K below this limit is in the budget.
 
-Several runs may separate what one stand cannot. If they separate ``servo`` from ``k3``, the better term is suggested, and its
-effect is in the budget.
+Several runs may separate what one stand cannot. Then the better term is suggested like any other
+(:mod:`piga.calibration.remarks.missing_terms`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
-from piga.calibration.fit import Fit, repetitions, without_scatter
-from piga.calibration.joint import JointFit, merge_runs
-from piga.calibration.model.design import Design, Names
-from piga.calibration.model.solution import name_coefficients, solve
-from piga.calibration.remarks.missing_terms import (
-    CUBIC,
-    Candidates,
-    constant_squares,
-    tested,
-    with_term,
-)
-from piga.calibration.servo import at_phases, reduce_settled
+from piga.calibration.joint import JointFit
+from piga.calibration.remarks.missing_terms import CUBIC, Candidates, tested, with_term
 from piga.calibration.sources import across_squared
-from piga.calibration.summary import LiveRun, RunSummary
 from piga.calibration.uncertainty import budget_row, unstated_servo
-from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
-from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.arrays import spans
 from piga.records.calibration import BudgetEntry, Coefficient, StandSource
 from piga.records.calibration.coefficient import changes, coverage_factor
-from piga.records.terms import SERVO_TERMS, si_factor, unit_of
+from piga.records.terms import GYRO, SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 
 _CLEAR = 0.01
@@ -57,6 +43,7 @@ _SOFTEST = 1e-4
 
 CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
 DAMPING_SOURCE = "servo damping that the model lacks"
+LACKING_SOURCE = "servo terms that the model lacks"
 _UNNAMED_SOURCE = "servo that is not named"
 """Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
 _ONE_SIDED = 1.645
@@ -94,91 +81,130 @@ class LeftOut:
 
 
 def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
-    """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stand separates them.
+    """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stands separate them.
 
     ``candidates`` are those of the fit without scatter.
     """
-    only, coefficients = candidates.fit.only, fit.coefficients
-    if only is None:
-        return _left_out_of_runs(fit)
-    plain, design = only.fit, only.fit.design
-    held = (*design.request.terms, *design.turning_servo)
-    if design.request.phase_source != "output" or design.run.direct:
+    coefficients, square = fit.coefficients, candidates.squares[0]
+    held = {*fit.wish.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
+    if fit.summaries[0].unit != GYRO or any(
+        live and live.request.phase_source != "output" for live in fit.live
+    ):
         return ()
-    square = constant_squares(design.run)[0]
-    cube = square is not None and "scale_factor" in held and not set(CUBIC) & set(held)
-    named = "servo" in held or ("k3" in held and square is not None) or "scale_factor" not in held
-    unnamed = () if named else _unnamed(fit, candidates, square)
+    scaled = "scale_factor" in held and "scale_factor" not in fit.wish.per_run
+    cube = square is not None and scaled and not set(CUBIC) & held
+    named = "servo" in held or ("k3" in held and square is not None) or not scaled
+    unnamed = () if named else _unnamed(fit, candidates)
     if "tan_beta" not in held:
         return unnamed
-    settled = square is None or design.turning_servo or "servo" in design.run.uncertainty.waived
+    settled = square is None or set(SERVO_TERMS) & held or _is_waived(fit)
+    together = _together(fit, candidates) if scaled and not set(SERVO_TERMS) & held else ()
+    if together:
+        return together
     asked = () if square is None or settled else _asked_cube(coefficients, square)
-    damping = "servo_damping" not in held and not design.has_phases
+    damping = "servo_damping" not in held and all(len(summary.labels) == 1 for summary in fit.summaries)
     if not cube and not damping:
         return asked
     order, (pieces, rows) = candidates.order, candidates.pieces
+    scale_factor = fit.summaries[0].inner_scale_factor
     before = {c.key: c.value for c in candidates.fit.coefficients}
     doubts: list[LeftOut] = []
     if square is not None and cube:
         test = tested(pieces, order, ("k3",), rows)
         if test is not None and test.probability <= _CLEAR:
             after = candidates.after(test.change)
-            k3 = float(test.columns[0]) / design.scale_factor
+            k3 = float(test.columns[0]) / scale_factor
             cube_with = {"servo": after["scale_factor"] * (1.0 + k3 * square), "k3": after["scale_factor"]}
             doubts.append(_cubic_doubt(coefficients, before, after, cube_with, k3 / si_factor("k3")))
             pieces = [with_term(piece, order, ("k3",)) for piece in pieces]
             order = [name for name in order if name != "k3"]
     test = tested(pieces, order, ("servo_damping",), rows) if damping else None
     if test is not None and (doubts or asked or test.probability <= _CLEAR):
-        beside = ("k3", "servo_damping") if doubts else ("servo_damping",)
-        whole = _with_terms(plain, beside)
+        unit = scale_factor * si_factor("servo_damping")
+        size = (float(test.columns[0]) / unit, float(test.std[0]) / unit)
+        is_clear = test.probability <= _CLEAR
+        after = candidates.after(test.change)
+        # the wave turns with the phase that it moves: a linear step is not enough
+        whole = candidates.refit(("k3", "servo_damping") if doubts else ("servo_damping",))
         if whole is not None:
-            after = candidates.after(test.change)
-            turned = {name: whole[name] for name in TURNED}
-            unit = design.scale_factor * si_factor("servo_damping")
-            size = (float(test.columns[0]) / unit, float(test.std[0]) / unit)
-            is_clear = test.probability <= _CLEAR
-            doubts.append(_damped(coefficients, before, after | turned, size, clear=is_clear))
+            after |= {c.key: c.value for c in whole.coefficients if c.name in TURNED}
+            doubts.append(_damped(coefficients, before, after, size, clear=is_clear))
     covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
     return (*doubts, *asked, *(() if covered else unnamed))
 
 
-def _unnamed(fit: JointFit, candidates: Candidates, square: float | None) -> tuple[LeftOut, ...]:
-    """The servo that a record does not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
+def _together(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """Both terms of the servo, if several runs show both: each alone may fit badly, because the damping turns the phases."""
+    if fit.only or candidates.squares[0] is not None or not set(SERVO_TERMS) <= set(candidates.order):
+        return ()
+    wider = candidates.refit(SERVO_TERMS)
+    if wider is None:
+        return ()
+    factors = coverage_factor(wider.degrees, 1.0 - _CLEAR).tolist()
+    pairs = [pair for pair in zip(wider.coefficients, factors, strict=True) if pair[0].name in SERVO_TERMS]
+    if any(abs(c.value) < factor * c.std for c, factor in pairs):
+        return ()
+    after = {c.key: c.value for c in wider.coefficients}
+    sizes = ", ".join(f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}" for c, _ in pairs)
+    moved = ", ".join(
+        f"{c.key} {after[c.key]:.8g} instead of {c.value:.8g} {c.unit}".removesuffix(" 1")
+        for c in fit.coefficients
+        if c.name in ("scale_factor", "tan_beta")
+    )
+    words = (
+        f"the runs together show {sizes}, which the model lacks; with it they give {moved}. The uncertainties cover "
+        "this shift. Add 'servo' and 'servo_damping' to [model] terms if it makes sense"
+    )
+    change = _difference(fit.coefficients, {c.key: c.value for c in fit.coefficients}, after)
+    return (LeftOut(LACKING_SOURCE, change, words),)
 
-    Without both it is listed with its effect, and has no size.
+
+def _is_waived(fit: JointFit) -> bool:
+    """True if the run file of a run waives the servo."""
+    sources = (source for summary in fit.summaries for source in summary.stand_sources)
+    return any(source.name == "servo" and source.status == "waived" for source in sources)
+
+
+def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """The servo that the records do not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
+
+    Without both, that of one run is listed with its effect, and has no size.
     """
-    unit, coefficients = si_factor("servo"), fit.coefficients
-    if fit.only is None:
+    unit, coefficients, square = si_factor("servo"), fit.coefficients, candidates.squares[0]
+    share = _softest_share(fit)
+    if _is_waived(fit) or share < _NEGLIGIBLE:
         return ()
-    design, run = fit.only.fit.design, fit.only.run
-    if "servo" in run.uncertainty.waived:
-        return ()
-    weighted, total = 0.0, 1e-300
-    for part in spans(run.size):
-        along = run.f[part, 0] ** 2
-        weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
-    share = _SOFTEST * unit * weighted / total
-    if share < _NEGLIGIBLE:
-        return ()
-    pieces, rows = candidates.pieces
-    names = ("servo",) if "servo" in candidates.order else ("k3",)
-    if names == ("k3",) and square is None:
+    name = "servo" if "servo" in candidates.order else "k3"
+    if name not in candidates.order or (name == "k3" and square is None):
+        if fit.only is None:
+            return ()
         listed = unstated_servo(fit.record(0, fit.only), [c.key for c in coefficients])
         return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),)
-    test = tested(pieces, candidates.order, names, rows)
+    pieces, rows = candidates.pieces
+    test = tested(pieces, candidates.order, (name,), rows)
     if test is None:
         moved = [c.value * share if c.name == "scale_factor" else 0.0 for c in coefficients]
         return (_unnamed_servo(np.array(moved), _SOFTEST, math.inf),)
     before, after = {c.key: c.value for c in candidates.fit.coefficients}, candidates.after(test.change)
     size, std, spread = (
-        float(values[0]) / design.scale_factor / unit for values in (test.columns, test.std, test.spread)
+        float(values[0]) / fit.summaries[0].inner_scale_factor / unit
+        for values in (test.columns, test.std, test.spread)
     )
-    if names == ("k3",) and square is not None:
+    if name == "k3" and square is not None:
         after["scale_factor"] *= 1.0 + size * unit * square
     std = max(std, spread * coverage_factor(test.freedom) / coverage_factor(math.inf))
-    shift = _difference(coefficients, before, after | {name: before[name] for name in TURNED if name in before})
-    return (_unnamed_servo(shift, size, std),)
+    after |= {c.key: before[c.key] for c in coefficients if c.name in TURNED}
+    return (_unnamed_servo(_difference(coefficients, before, after), size, std),)
+
+
+def _softest_share(fit: JointFit) -> float:
+    """Relative change of K by the softest servo, from the records; 0 without any."""
+    weighted, total = 0.0, 1e-300
+    for run in (live.run for live in fit.live if live):
+        for part in spans(run.size):
+            along = run.f[part, 0] ** 2
+            weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
+    return _SOFTEST * si_factor("servo") * weighted / total
 
 
 def _unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
@@ -197,23 +223,6 @@ def _unnamed_servo(shift: Array, size: float, std: float) -> LeftOut:
     )
     listed = StandSource("servo", "bounded" if told else "assumed", reason=words)
     return LeftOut(_UNNAMED_SOURCE, shift * (min(limit, softest) / size), "", listed)
-
-
-def _with_terms(plain: Fit, extra: tuple[str, ...]) -> dict[str, float] | None:
-    """Coefficients (file units) by key of the fit with more terms; None if the record cannot separate them.
-
-    The change by a term depends on the weights of every row. The coarse rows for testing candidates are not enough.
-    """
-    request = replace(plain.design.request, terms=(*plain.design.request.terms, *extra))
-    raw = Design(plain.design.run, request, plain.design.scale_factor)
-    try:
-        design, rows = reduce_settled(raw, plain.mode, plain.noise)
-    except IdentifiabilityError:
-        return None
-    parts = with_scatter(at_phases(design, rows), plain.noise)
-    solution = solve(design, of_segments(parts, Positions.of(raw.run)))
-    named, _ = name_coefficients(design, solution, solution.covariance)
-    return {c.key: c.value for c in named}
 
 
 def _cubic_doubt(
@@ -302,161 +311,3 @@ def _difference(
     """Change of each coefficient between two results."""
     values = (np.array([result[c.key] for c in coefficients]) for result in (before, after))
     return changes(coefficients, *values)
-
-
-EXTRA = ("k3", *SERVO_TERMS)
-"""Terms that are tried."""
-_LACKING = {"servo": "servo terms that the model lacks", "k3": "k3 that the model lacks"}
-"""Names in the budget where the runs tell servo from k3."""
-
-
-@dataclass(frozen=True)
-class _WideRuns:
-    """The runs with the columns of ``EXTRA``, weighted without scatter."""
-
-    fit: JointFit
-    summaries: tuple[RunSummary, ...]
-
-    @classmethod
-    def of(cls, fit: JointFit) -> _WideRuns:
-        """The runs of a fit. Those without raw data have the columns of their summaries."""
-        runs = enumerate(zip(fit.summaries, fit.live, strict=True))
-        return cls(fit, tuple(_with_columns(fit, index, summary, live) for index, (summary, live) in runs))
-
-    def refit(self, terms: Names) -> JointFit | None:
-        """The runs with these terms; None if they cannot separate the terms."""
-        wish = replace(self.fit.wish, terms=terms)
-        try:
-            return merge_runs(wish, list(self.summaries), [None] * len(self.summaries))
-        except IdentifiabilityError:
-            return None
-
-    def clear(self, base: JointFit, names: Names, limit: float = _CLEAR) -> JointFit | None:
-        """The runs with additional terms; None if they cannot separate them, or if the effect may be chance."""
-        after = self.refit((*base.wish.terms, *names))
-        return None if after is None or _chance(after, names) > limit else after
-
-
-def _left_out_of_runs(fit: JointFit) -> tuple[LeftOut, ...]:
-    """Servo signatures in several runs; empty if none is clear or terms take them up."""
-    terms = fit.wish.terms
-    held = {*terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
-    cube = "scale_factor" in terms and "scale_factor" not in fit.wish.per_run and "servo" not in held
-    if "tan_beta" not in terms or not (cube or "servo_damping" not in held):
-        return ()
-    try:
-        rows = _WideRuns.of(fit)
-        base = rows.refit(terms)
-    except CalibrationError:
-        return ()
-    if base is None:
-        return ()
-    unnamed = _unnamed_of_runs(rows, base) if cube else ()
-    if cube and not set(CUBIC) & held and rows.refit((*terms, "servo", "k3")):
-        return _lacking(rows, base) or unnamed
-    doubts: list[LeftOut] = []
-    if cube and "k3" in terms and "k3" not in fit.wish.per_run:
-        doubts += _asked(rows, base)
-    if cube and not set(CUBIC) & held:
-        by_k3, by_servo = rows.clear(base, ("k3",)), rows.refit((*terms, "servo"))
-        if by_k3 and by_servo:
-            after = _values(by_k3)
-            under = {"servo": _values(by_servo)["scale_factor"], "k3": after["scale_factor"]}
-            doubts.append(_cubic_doubt(fit.coefficients, _values(base), after, under, after["k3"]))
-            base = by_k3
-    limit = 1.0 if any(doubt.source == CUBIC_SOURCE for doubt in doubts) else _CLEAR
-    wave = rows.clear(base, ("servo_damping",), limit) if "servo_damping" not in held else None
-    if wave:
-        damping = next(c for c in wave.coefficients if c.name == "servo_damping")
-        is_clear = _chance(wave, ("servo_damping",)) <= _CLEAR
-        doubts.append(
-            _damped(
-                fit.coefficients, _values(base), _values(wave), (damping.value, damping.std), clear=is_clear
-            )
-        )
-    covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
-    return (*doubts, *(() if covered else unnamed))
-
-
-def _unnamed_of_runs(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
-    """The servo that the runs do not exclude; empty if one of them waives it, or if they cannot tell it."""
-    sources = (source for summary in rows.fit.summaries for source in summary.stand_sources)
-    wider = rows.refit((*base.wish.terms, "servo"))
-    if wider is None or any(source.name == "servo" and source.status == "waived" for source in sources):
-        return ()
-    servo = next(c for c in wider.coefficients if c.name == "servo")
-    before, after = _values(base), _values(wider)
-    after |= {key: before[key] for key in before if key.startswith(TURNED)}
-    shift = _difference(rows.fit.coefficients, before, after)
-    std = servo.std * servo.coverage_factor / coverage_factor(math.inf)
-    return (_unnamed_servo(shift, servo.value, std),)
-
-
-def _chance(fit: JointFit, names: Names) -> float:
-    """Probability of terms as large as these by chance, by the scatter of the positions (F test)."""
-    at = [index for index, c in enumerate(fit.coefficients) if c.name in names]
-    size = np.array([fit.coefficients[index].value for index in at])
-    square = size @ np.linalg.solve(fit.covariance[np.ix_(at, at)], size)
-    return float(fdtrc(len(at), fit.degrees[at].min(), square / len(at)))
-
-
-def _values(fit: JointFit) -> dict[str, float]:
-    """Coefficients (file units) by key."""
-    return {c.key: c.value for c in fit.coefficients}
-
-
-def _with_columns(fit: JointFit, index: int, summary: RunSummary, live: LiveRun | None) -> RunSummary:
-    """The summary of a run with the columns of ``EXTRA``."""
-    if live is None:
-        return replace(summary, sources=())
-    terms = fit.wish.terms_of(index)
-    wish = replace(live.request, terms=(*terms, *(name for name in EXTRA if name not in terms)), per_run=())
-    plain = without_scatter(live.fit)
-    design = Design(live.run, wish, summary.inner_scale_factor)
-    parts = reduce_positions(design, plain.mode, plain.noise)
-    return replace(summary, positions=repetitions(design, plain.noise, parts), sources=())
-
-
-def _asked(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
-    """The other meaning of a requested ``k3``, if the runs cannot separate it from the servo."""
-    terms, coefficients = base.wish.terms, rows.fit.coefficients
-    named = {c.key: c for c in coefficients}
-    k3, scale = named["k3"], named["scale_factor"]
-    swapped = rows.refit(tuple("servo" if name == "k3" else name for name in terms))
-    if swapped is None or rows.refit((*terms, "servo")):
-        return ()
-    shift = _values(swapped)["scale_factor"] - _values(base)["scale_factor"]
-    if abs(k3.value) > _SEEN * k3.std:
-        return (_other_meaning(coefficients, scale, shift),)
-    moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (_unnamed_servo(moved, k3.value, k3.std),)
-
-
-def _lacking(rows: _WideRuns, base: JointFit) -> tuple[LeftOut, ...]:
-    """Missing terms that the runs can separate: those of the servo, or ``k3``."""
-    servo = tuple(name for name in SERVO_TERMS if name not in base.wish.terms)
-    tried = {names: rows.clear(base, names) for names in (servo, ("servo",), ("k3",))}
-    clear = {names: wider for names, wider in tried.items() if wider}
-    if not clear:
-        return ()
-    names, best = min(clear.items(), key=lambda item: item[1].estimate.cost)
-    coefficients, after = rows.fit.coefficients, _values(best)
-    change = _difference(coefficients, {c.key: c.value for c in coefficients}, after)
-    words = _lacking_words(names, best.coefficients, coefficients, after)
-    return (LeftOut(_LACKING[names[0]], change, words),)
-
-
-def _lacking_words(
-    names: Names, wider: tuple[Coefficient, ...], coefficients: tuple[Coefficient, ...], after: dict[str, float]
-) -> str:
-    sizes = ", ".join(f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}" for c in wider if c.name in names)
-    moved = ", ".join(
-        f"{c.key} {after[c.key]:.8g} instead of {c.value:.8g} {c.unit}".removesuffix(" 1")
-        for c in coefficients
-        if c.name in ("scale_factor", "tan_beta")
-    )
-    quoted = " and ".join(f"'{name}'" for name in names)
-    return (
-        f"the runs together show {sizes}, which the model lacks; with it they give {moved}. The "
-        f"uncertainties cover this shift. Add {quoted} to [model] terms if it makes sense"
-    )

@@ -17,12 +17,13 @@ import numpy as np
 
 from piga.calibration.fit import repetitions
 from piga.calibration.intervals import parameter_rows
-from piga.calibration.joint import JointFit
-from piga.calibration.model.design import Design, ServoState
+from piga.calibration.joint import JointFit, merge_runs
+from piga.calibration.model.design import STIFFNESS_COLUMNS, Design, ServoState, phaseless_columns
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.sources import across_squared
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
+from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration import Coefficient, MissingTerm
 from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
@@ -30,6 +31,7 @@ from piga.results import Array
 from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
 Names = tuple[str, ...]
+Squares = tuple[float | None, float | None]
 
 
 _FALSE_ALARMS = 0.002
@@ -63,48 +65,47 @@ _PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: their term and columns."""
 
 
-def _candidate_terms(fit: JointFit) -> list[tuple[str, ...]]:
+def _candidate_terms(fit: JointFit, squares: Squares) -> list[tuple[str, ...]]:
     """Columns of every candidate that is missing in the model and that the runs can determine.
 
     A gyro accelerometer has no known cause of ``k1a``: ask for it by name. Candidates that turn with the output are skipped
-    unless the zero of its angle is known in all segments. Of several runs, the terms of the servo are tested by
-    :mod:`piga.calibration.remarks.left_out`.
+    unless the zero of its angle is known in all segments.
     """
     terms, direct = fit.wish.terms, fit.summaries[0].unit != GYRO
     left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
-    left_out |= {
-        name for name in LOGGED_TERMS if not all(_shows(fit, index, name) for index in range(len(fit.live)))
-    }
-    left_out |= _servo_out_of_reach(fit) | (set() if direct else {"k1a"})
-    candidates: list[tuple[str, ...]] = [(name,) for name in ERROR_TERMS if name not in left_out]
+    left_out |= _servo_out_of_reach(fit, squares) | (set() if direct else {"k1a"})
+    candidates: list[tuple[str, ...]] = [
+        (name,) for name in ERROR_TERMS if name not in left_out and _is_shown(fit, name)
+    ]
     if direct:
         return candidates
     one_phase = len(fit.live) == 1 and fit.summaries[0].phases == "shared"
     if one_phase or "tan_beta" in terms:
-        candidates += [columns for name, columns in _PAIRS if name not in terms]
-    held = [
-        summary.positions[0].part.names
-        for summary, live in zip(fit.summaries, fit.live, strict=True)
-        if not live
-    ]
-    return [names for names in candidates if all(set(names) <= set(own) for own in held)]
+        candidates += [
+            columns
+            for name, columns in _PAIRS
+            if name not in terms and all(_is_shown(fit, column) for column in columns)
+        ]
+    return candidates
 
 
-def _shows(fit: JointFit, index: int, term: str) -> bool:
-    """True unless the term needs a column that a run does not have, or that is the same everywhere."""
-    live, summary = fit.live[index], fit.summaries[index]
-    return live.run.shows(term) if live else term in summary.positions[0].part.names
+def _is_shown(fit: JointFit, name: str) -> bool:
+    """True unless a run lacks the column or its logged input, or the input is the same everywhere."""
+    columns = phaseless_columns((name,)) or (name,)
+    return all(
+        name not in LOGGED_TERMS or live.run.shows(name)
+        if live
+        else set(columns) <= set(summary.positions[0].part.names)
+        for live, summary in zip(fit.live, fit.summaries, strict=True)
+    )
 
 
-def _servo_out_of_reach(fit: JointFit) -> set[str]:
-    """Terms that a record cannot separate from the servo terms of the model, and servo terms that it cannot determine."""
-    terms = fit.wish.terms
-    if fit.only is None:
-        return {*SERVO_TERMS, "k3"}
-    total, across = constant_squares(fit.only.run)
+def _servo_out_of_reach(fit: JointFit, squares: Squares) -> set[str]:
+    """Terms that the runs cannot separate from the servo terms of the model, and servo terms that they cannot determine."""
+    terms, (total, across) = fit.wish.terms, squares
     scaled = "scale_factor" in terms or "k1" in terms
-    names = {*terms, *dict(fit.summaries[0].known_servo)} & set(SERVO_TERMS)
-    names = names if "tan_beta" in terms else set(SERVO_TERMS)
+    known = (name for summary in fit.summaries for name, _ in summary.known_servo)
+    names = {*terms, *known} & set(SERVO_TERMS) if "tan_beta" in terms else set(SERVO_TERMS)
     if scaled and total is not None:
         names |= {"k3"} if "servo" in terms else set()
         names |= {"servo"} if "k3" in terms else set()
@@ -113,7 +114,7 @@ def _servo_out_of_reach(fit: JointFit) -> set[str]:
     return names
 
 
-def constant_squares(run: Run) -> tuple[float | None, float | None]:
+def constant_squares(run: Run) -> Squares:
     """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
     at = np.unique(np.linspace(0, run.size - 1, _FORCE_SAMPLES).astype(np.int64))
     squares: list[float | None] = []
@@ -121,6 +122,29 @@ def constant_squares(run: Run) -> tuple[float | None, float | None]:
         low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
         squares.append(float(middle) if high - low <= _CONSTANT * middle else None)
     return squares[0], squares[1]
+
+
+def _stored_squares(summary: RunSummary) -> Squares:
+    """The same from the columns ``a_x``, ``a_x (u_t/K)^2`` and ``a_x^3`` of a summary; None without them."""
+    wanted = ("scale_factor", STIFFNESS_COLUMNS[0], "k3")
+    if not set(wanted) <= set(summary.positions[0].part.names):
+        return None, None
+    along, across, cube = np.vstack(
+        [position.part.select(wanted).factor[:, :3] for position in summary.positions]
+    ).T
+    squares: list[float | None] = []
+    for column in (across + cube, across):
+        square = float(along @ column / max(float(along @ along), 1e-300))
+        missed = float(np.linalg.norm(column - square * along))
+        squares.append(square if missed <= _CONSTANT * float(np.linalg.norm(column)) else None)
+    return squares[0], squares[1]
+
+
+def _common(values: Sequence[float | None]) -> float | None:
+    """The value that all runs have; None if they differ."""
+    held = [value for value in values if value is not None]
+    alike = len(held) == len(values) and max(held) - min(held) <= _CONSTANT * max(held)
+    return sum(held) / len(held) if alike else None
 
 
 @dataclass(frozen=True)
@@ -153,14 +177,27 @@ class Candidates:
     fit: JointFit
 
     @cached_property
+    def squares(self) -> Squares:
+        """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of all runs; None for one that changes."""
+        fit = self.fit
+        pairs = [
+            constant_squares(live.run) if live else _stored_squares(summary)
+            for live, summary in zip(fit.live, fit.summaries, strict=True)
+        ]
+        return _common([total for total, _ in pairs]), _common([across for _, across in pairs])
+
+    @cached_property
+    def terms(self) -> list[Names]:
+        """Columns of every candidate for a suggestion."""
+        return _candidate_terms(self.fit, self.squares)
+
+    @cached_property
     def order(self) -> list[str]:
         """Names of the columns: candidates for a suggestion, and signatures of the servo."""
-        names, only = [name for names in _candidate_terms(self.fit) for name in names], self.fit.only
-        if only and "k3" not in (*names, *self.fit.wish.terms):
-            names.append("k3")
-        if only and "p" in self.fit.local and "servo_damping" not in (*names, *only.fit.design.turning_servo):
-            names.append("servo_damping")
-        return names
+        fit, names = self.fit, [name for names in self.terms for name in names]
+        held = {*fit.wish.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
+        more = ("k3", "servo_damping") if "p" in fit.local else ("k3",)
+        return names + [name for name in more if name not in {*names, *held} and _is_shown(fit, name)]
 
     @cached_property
     def common(self) -> list[int]:
@@ -170,14 +207,18 @@ class Candidates:
         return [*range(size), *(size + g for g in phases)]
 
     @cached_property
+    def summaries(self) -> tuple[RunSummary, ...]:
+        """The runs with the columns of the candidates."""
+        return tuple(_wide(self.fit, index, self.order) for index in range(len(self.fit.live)))
+
+    @cached_property
     def pieces(self) -> tuple[list[Array], int]:
         """Factors ``[parameters | candidates | residual]`` of the parts of the records, and the number of rows."""
         fit, estimate, layout = self.fit, self.fit.estimate, self.fit.layout
-        summaries = [_wide(fit, index, self.order) for index in range(len(fit.live))]
-        state = fit.servo
+        state, summaries = fit.servo, self.summaries
         if state is None and layout.coupled:
             state = ServoState(tuple(estimate.phases.tolist()), stiffness=0.0, damping=0.0, inverse=0.0)
-        parts = replace(fit, summaries=tuple(summaries)).repetitions(state, (RATE, *self.order))
+        parts = replace(fit, summaries=summaries).repetitions(state, (RATE, *self.order))
         at, pieces = self.common, []
         for part in parts:
             local = layout.coupled and layout.size + part.group not in at
@@ -188,6 +229,14 @@ class Candidates:
             piece[:, len(at) : -1] = piece[:, len(at) : -1] @ _turn(phase, self.order)
             pieces.append(piece)
         return pieces, sum(summary.count for summary in summaries)
+
+    def refit(self, names: Names) -> JointFit | None:
+        """The fit with more terms; None if the records cannot separate them."""
+        wish = replace(self.fit.wish, terms=(*self.fit.wish.terms, *names))
+        try:
+            return merge_runs(wish, self.summaries, [None] * len(self.fit.live))
+        except (CalibrationError, IdentifiabilityError):
+            return None
 
     def after(self, change: Array) -> dict[str, float]:
         """Coefficients (file units) by key after a change of the ``common`` parameters, and of any others."""
@@ -226,8 +275,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
     coefficients:
         The result, with combined standard uncertainties.
     """
-    fit = candidates.fit
-    left = _candidate_terms(fit)
+    fit, left = candidates.fit, candidates.terms
     if any(live and live.request.phase_source != "output" for live in fit.live) or not left:
         return ()
     order = candidates.order
@@ -235,7 +283,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
     suggestions: list[MissingTerm] = []
     scale_factor = fit.summaries[0].inner_scale_factor
     limit = _FALSE_ALARMS / len(left)
-    square = constant_squares(fit.only.run)[0] if fit.only and not fit.only.run.direct else None
+    square = candidates.squares[0]
     for _ in range(_SUGGESTIONS):
         tests = [
             t
