@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import gc
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,45 +49,51 @@ def _store_name(where: str) -> str:
     return postgresql_database(where).name if is_url(where) else where
 
 
-def _head_line(records: int, head: str) -> str:
-    """Number of records, and the head that proves them."""
-    return f"{counted(records, 'record')}, head {head}"
-
-
 def _tell(where: str, head: Head, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
     """What a command found in a store, with the head that proves it."""
     place = {"store": _store_name(where), "head": head.sha256}
-    tell(as_json, place | document, [*lines, _head_line(head.number, head.sha256)])
+    tell(as_json, place | document, [*lines, f"{counted(head.number, 'record')}, head {head.sha256}"])
+
+
+def _tell_written(path: Path, written: Verification, as_json: bool) -> None:
+    document = {"file": str(path), "records": written.records, "head": written.head}
+    lines = (
+        f"wrote {path}, read back and found sound",
+        f"{counted(written.records, 'record')}, head {written.head}",
+    )
+    tell(as_json, document, lines)
 
 
 def _record_document(record: Record) -> dict[str, Any]:
     from piga.results import plain
 
-    place = {"number": record.number, "head": record.head, "added": record.link.added}
-    of = {"taken_over": plain(record.link.taken_over), "record": plain(record.document), "id": record.id}
-    return place | of
+    place = {"number": record.number, "head": record.head, "added": record.link.added, "id": record.id}
+    return place | {"taken_over": plain(record.link.taken_over), "record": plain(record.document)}
 
 
 def _record_lines(record: Record) -> Iterator[str]:
-    document = record.document
-    yield f"record {record.id}, number {record.number}, head {record.head}"
-    facts = {name: getattr(document, name) for name in ("serial", "measured", "created", "operator", "reason")}
-    facts = {"instrument": facts.pop("serial")} | facts
-    facts["measured"] = facts["measured"] or "not said"
-    facts |= {"supersedes": document.supersedes} if document.supersedes else {}
-    software = document.software
-    facts["software"] = f"piga {software.get('piga', '?')}, {software.get('python', '?')}"
-    if record.link.taken_over is not None:
-        who = record.link.taken_over
+    document, origin = record.document, record.link.taken_over
+    software = (document.software.get(name, "?") for name in ("piga", "python"))
+    facts = {
+        "instrument": document.serial,
+        "measured": document.measured or "not said",
+        "created": document.created,
+        "operator": document.operator,
+        "reason": document.reason,
+        "supersedes": document.supersedes,
+        "software": f"piga {', '.join(software)}",
+    }
+    if origin is not None:
         was = f"it was number {document.number} of store {document.store}"
-        facts["imported"] = f"by {who.operator}: {who.reason}; {was}"
-    for name, value in facts.items():
-        yield f"  {name:<11}{value}"
+        facts["imported"] = f"by {origin.operator}: {origin.reason}; {was}"
+    yield f"record {record.id}, number {record.number}, head {record.head}"
+    yield from (f"  {name:<11}{value}" for name, value in facts.items() if value is not None)
     for file in document.files:
         yield f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}"
 
 
 def _difference_document(difference: Difference) -> dict[str, Any]:
+    from piga.records.calibration.coefficient import TYPE_A_ONLY
     from piga.results import plain
 
     return {
@@ -95,50 +101,24 @@ def _difference_document(difference: Difference) -> dict[str, Any]:
         "second": difference.second.id,
         "coefficients": [plain(change) | {"ratio": change.ratio} for change in difference.coefficients],
         "facts": plain(difference.facts),
-        "notes": _type_a_only(difference),
+        "notes": [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only],
     }
 
 
-def _type_a_only(difference: Difference) -> list[str]:
-    """Remark on records whose uncertainties are of Type A only."""
-    from piga.records.calibration.coefficient import TYPE_A_ONLY
-
-    return [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only]
-
-
-def _difference_lines(difference: Difference) -> Iterator[str]:
+def _difference_lines(document: dict[str, Any]) -> Iterator[str]:
     from piga.records.terms import shown_unit
     from piga.reports.render.numbers import ascii_text, rounded, signed
 
-    first, second = difference.first.id, difference.second.id
-    yield f"{first} -> {second}: second less first, uncertainties taken as independent"
-    for c in difference.coefficients:
-        if c.difference is None or c.ratio is None:
-            yield f"  {c.key:<14} only in {first if c.second is None else second}"
+    yield "{first} -> {second}: second less first, uncertainties taken as independent".format(**document)
+    for c in document["coefficients"]:
+        if c["ratio"] is None:
+            yield f"  {c['key']:<14} only in {document['first' if c['second'] is None else 'second']}"
         else:
-            scale, unit = shown_unit(c.key, c.unit)
-            shown = ascii_text(rounded(c.difference * scale, (c.std or 0.0) * scale).interval)
-            yield f"  {c.key:<14} {shown:>24} {unit:<8} {ascii_text(signed(c.ratio, 2))} u"
-    yield from (f"  {line}" for line in _type_a_only(difference))
-    yield from (f"  {name}: {old} -> {new}" for name, (old, new) in difference.facts.items())
-
-
-def _verification_lines(verification: Verification) -> Iterator[str]:
-    v = verification
-    if v.sound:
-        yield f"{v.name}: sound: {counted(v.records, 'record')} and {counted(v.files, 'file')} are what they were"
-    for head, number in v.known.items():
-        if number is not None:
-            yield f"known head {head[:16]}... is that after record {number}"
-    for problem in v.problems:
-        note(f"piga: {problem}")
-    if v.head:
-        yield _head_line(v.records, v.head)
-
-
-def _tell_written(path: Path, records: int, head: str, *, as_json: bool) -> None:
-    lines = (f"wrote {path}, read back and found sound", _head_line(records, head))
-    tell(as_json, {"file": str(path), "records": records, "head": head}, lines)
+            scale, unit = shown_unit(c["key"], c["unit"])
+            shown = ascii_text(rounded(c["difference"] * scale, c["std"] * scale).interval)
+            yield f"  {c['key']:<14} {shown:>24} {unit:<8} {ascii_text(signed(c['ratio'], 2))} u"
+    yield from (f"  {line}" for line in document["notes"])
+    yield from (f"  {name}: {old} -> {new}" for name, (old, new) in document["facts"].items())
 
 
 def _reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
@@ -154,27 +134,25 @@ def _reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
     }
 
 
-def _reproduced_line(reproduced: Reproduced) -> str:
+def _reproduced_line(document: dict[str, Any]) -> str:
     """Whether a recomputed record is the same, and the changes since; differences go to stderr."""
-    where = (
-        "same software and platform" if reproduced.same_platform else f"then and now: {_changes(reproduced)}"
-    )
     words = {
         "identical": "identical to the bit",
-        "within tolerance": f"within tolerance ({reproduced.comparison.worst:.1g} of what is allowed)",
+        "within tolerance": f"within tolerance ({document['worst']:.1g} of what is allowed)",
         "different": "NOT the same",
     }
-    if not reproduced.reproduced:
-        for line in reproduced.comparison.differences or ("the numbers differ in their last digits",):
-            note(f"piga: {reproduced.record.id}: {line}")
-    return f"{reproduced.record.id}: {words[reproduced.verdict]}; {where}"
-
-
-def _changes(reproduced: Reproduced) -> str:
-    changed = {name: pair for name, pair in reproduced.changed.items() if pair[0] is not None}
-    words = [f"{name} {then} -> {now}" for name, (then, now) in changed.items() if name != "source_sha256"]
-    words += ["other numeric source"] if "source_sha256" in changed else []
-    return "; ".join(words) or "the software of then was not recorded in full"
+    if document["verdict"] == "different":
+        for line in document["differences"] or ("the numbers differ in their last digits",):
+            note(f"piga: {document['id']}: {line}")
+    changed = {
+        name: f"{then} -> {now}" for name, (then, now) in document["changed"].items() if then is not None
+    }
+    if "source_sha256" in changed:
+        changed["source_sha256"] = "other numeric source"
+    then_and_now = "; ".join(f"{name} {words}" for name, words in changed.items())
+    where = f"then and now: {then_and_now or 'the software of then was not recorded in full'}"
+    where = "same software and platform" if document["same_platform"] else where
+    return f"{document['id']}: {words[document['verdict']]}; {where}"
 
 
 app = App(
@@ -217,6 +195,8 @@ def add(
 ) -> None:
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
     from piga.ledger import prepare_results, prepare_run
+    from piga.ledger.store.database import is_url
+    from piga.records.run_file import read_run_file
 
     wanted = names_in(terms)
     if results is not None and any(option is not None for option in (wanted, method, phases, phase_source)):
@@ -224,12 +204,12 @@ def add(
             "--results keeps the result of an earlier piga calibrate unchanged; options of the calibration do not apply",
             remedy="leave out --terms, --method and --phases...",
         )
-    _check_usable(store)
-    if supersedes is not None:
-        from piga.records.run_file import read_run_file
-
-        with opened(store) as kept:
-            supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
+    if (
+        supersedes is not None or is_url(store) or Path(store).exists()
+    ):  # what is wrong with the store is said before the work
+        with opened(store, create=supersedes is None) as kept:
+            if supersedes is not None:
+                supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
     with progress("calibrating"):
         if results is not None:
             prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
@@ -247,15 +227,6 @@ def add(
         tell(as_json, {"store": kept.name, **_record_document(record)}, lines)
 
 
-def _check_usable(where: str) -> None:
-    """Refuse an unusable store before the work begins. A new store is created only when there is a record."""
-    from piga.ledger.store.database import is_url
-
-    if is_url(where) or Path(where).exists():
-        with opened(where, create=True):
-            return
-
-
 @app.command("list")
 def list_records(
     store: StoreOption,
@@ -265,15 +236,14 @@ def list_records(
     """List the records."""
     with opened(store) as kept:
         head, old, listed = kept.head(), kept.superseded(serial), list(kept.each(serial))
-    documents = list(map(_record_document, listed))
-    _tell(store, head, as_json, {"records": documents}, (_listed_line(one, old) for one in listed))
-
-
-def _listed_line(record: Record, old: Container[str]) -> str:
-    """A record of the list; ``old``: names of those that another one corrects."""
-    amended = "  superseded" if record.id in old else ""
-    who = f"{record.document.serial}  {record.document.operator}{amended}"
-    return f"{record.number:5d}  {record.id}  {record.measured:%Y-%m-%d}  {who}"
+    _tell(
+        store, head, as_json, {"records": list(map(_record_document, listed))},
+        (
+            f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}"
+            + ("  superseded" if r.id in old else "")
+            for r in listed
+        ),
+    )  # fmt: skip
 
 
 @app.command()
@@ -293,22 +263,18 @@ def show(
         shown, head = kept.record(record), kept.head()
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         if extract is not None:
-            kept.extract(shown.id, _made(extract))
+            try:
+                extract.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise PigaError(
+                    f"--extract {extract}: the directory cannot be created ({error.strerror})",
+                    remedy="name a directory you may write to",
+                ) from None
+            kept.extract(shown.id, extract)
     result = None if calibration is None else to_document(calibration)
     lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
     lines += [] if extract is None else [f"wrote {len(shown.document.files)} files to {extract}"]
     _tell(store, head, as_json, _record_document(shown) | {"calibration": result}, lines)
-
-
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PigaError(
-            f"--extract {folder}: the directory cannot be created ({error.strerror})",
-            remedy="name a directory you may write to",
-        ) from None
-    return folder
 
 
 @app.command()
@@ -323,7 +289,8 @@ def diff(
 
     with opened(store) as kept:
         changes, head = difference(kept, first, second), kept.head()
-    _tell(store, head, as_json, _difference_document(changes), _difference_lines(changes))
+    document = _difference_document(changes)
+    _tell(store, head, as_json, document, _difference_lines(document))
 
 
 @app.command()
@@ -348,11 +315,19 @@ def verify(
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
     with progress("verifying") as show:
-        verification = check(where, head or (), show)
+        v = check(where, head or (), show)
     names = ("sound", "records", "files", "head", "known", "problems")
-    document = {"store": verification.name} | {name: getattr(verification, name) for name in names}
-    tell(as_json, document, _verification_lines(verification))
-    if not verification.sound:
+    lines = [
+        f"known head {one[:16]}... is that after record {n}" for one, n in v.known.items() if n is not None
+    ]
+    if v.sound:
+        held = f"{counted(v.records, 'record')} and {counted(v.files, 'file')}"
+        lines.insert(0, f"{v.name}: sound: {held} are what they were")
+    lines += [f"{counted(v.records, 'record')}, head {v.head}"] if v.head else []
+    tell(as_json, {"store": v.name} | {name: getattr(v, name) for name in names}, lines)
+    if not v.sound:
+        for problem in [] if as_json else v.problems:
+            note(f"piga: {problem}")
         raise typer.Exit(2)
 
 
@@ -371,7 +346,7 @@ def export(
 
     with opened(store) as kept, progress("exporting") as show:
         exported = export_records(kept, out, record, progress=show)
-    _tell_written(out, exported.records, exported.head, as_json=as_json)
+    _tell_written(out, exported, as_json)
 
 
 @app.command("import")
@@ -391,9 +366,8 @@ def import_export(
     with opened(store, create=True) as kept, progress("importing"):
         added = import_records(kept, archive, operator, reason)
         head = kept.head()
-    document = {"store": _store_name(store), "added": added, "records": head.number, "head": head.sha256}
-    lines = (f"imported {len(added)} records from {archive}", _head_line(head.number, head.sha256))
-    tell(as_json, document, lines)
+    document = {"added": added, "records": head.number}
+    _tell(store, head, as_json, document, [f"imported {len(added)} records from {archive}"])
 
 
 @app.command()
@@ -408,17 +382,16 @@ def reproduce(
     """
     from piga.ledger import reproduce as recompute
 
-    results_by_record = []
+    documents = []
     with opened(store) as kept:
         names = record or [entry.id for entry in kept.each()]
         with progress("recomputing", len(names)) as show:
             for number, name in enumerate(names):
                 show(number, len(names), name)
-                results_by_record.append(recompute(kept, name))
+                documents.append(_reproduced_document(recompute(kept, name)))
         head = kept.head()
-    documents = [_reproduced_document(one) for one in results_by_record]
-    _tell(store, head, as_json, {"records": documents}, map(_reproduced_line, results_by_record))
-    if not all(one.reproduced for one in results_by_record):
+    _tell(store, head, as_json, {"records": documents}, map(_reproduced_line, documents))
+    if any(one["verdict"] == "different" for one in documents):
         raise typer.Exit(2)
 
 
@@ -436,7 +409,7 @@ def backup(
 
     with opened(store) as kept, progress("copying") as show:
         copied = copy(kept, out, progress=show)
-    _tell_written(out, copied.records, copied.head, as_json=as_json)
+    _tell_written(out, copied, as_json)
 
 
 @app.command()
@@ -454,7 +427,7 @@ def restore(
 
     with progress("restoring"):
         restored = make(source, store)
-    _tell_written(Path(_store_name(store)), restored.records, restored.head, as_json=as_json)
+    _tell_written(Path(_store_name(store)), restored, as_json)
 
 
 # -- trend ---------------------------------------------------------------------------------------------
