@@ -6,6 +6,7 @@ import datetime as dt
 import glob
 import io
 import json
+import os
 import re
 import shutil
 import sys
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -36,17 +37,14 @@ def clean(text: str) -> str:
     return _CONTROL.sub("?", text)
 
 
-class _Nowhere(io.TextIOBase):
-    """A stream that discards its text. It replaces a standard output that cannot be written."""
-
-    def write(self, text: str, /) -> int:
-        """Discard the text."""
-        return len(text)
+def _discarded() -> TextIO:
+    """A stream in place of a standard output that cannot be written."""
+    return Path(os.devnull).open("w", encoding="utf-8")
 
 
 def check_pipes() -> None:
     """Refuse a live stream if standard input or output is closed."""
-    closed = "input" if sys.stdin is None else "output" if isinstance(sys.stdout, _Nowhere) else ""
+    closed = "input" if sys.stdin is None else "output" if getattr(sys.stdout, "name", "") == os.devnull else ""
     if closed:
         raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
 
@@ -60,7 +58,7 @@ def prepare_output() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # the parent process closed it
-            setattr(sys, name, _Nowhere())
+            setattr(sys, name, _discarded())
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
@@ -75,7 +73,7 @@ def _write_out(text: str, *, needed: bool) -> None:
         sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
-        sys.stdout = _Nowhere()  # no error at the end of the process either
+        sys.stdout = _discarded()  # no error at the end of the process either
         if isinstance(error, BrokenPipeError):
             return
         note(f"piga: standard output cannot be written ({error.strerror}); what the command did is done")
@@ -179,7 +177,7 @@ class Delivery:
 
     def __init__(self, folder: Path | None, stage: Path | None) -> None:
         self.folder, self._stage = folder, stage
-        self._document: Callable[[], Any] = dict
+        self._document: Callable[[], Any] | None = None
         self._text: Callable[[], str] = str
 
     @property
@@ -217,6 +215,7 @@ def deliver(
     *,
     force: bool,
     as_json: bool,
+    option: str = "--out",
 ) -> Iterator[Delivery]:
     """The one ending of a command: its files appear together, then JSON alone, or the text and the files that were written.
 
@@ -226,23 +225,30 @@ def deliver(
         delivery, written = Delivery(None, None), []
         yield delivery
     else:
-        with results(folder, command, names, inputs, force=force) as (stage, place):
+        with results(folder, command, names, inputs, force=force, option=option) as (stage, place):
             delivery = Delivery(place, stage)
             yield delivery
             written = _listed(stage, place, names)
     if as_json:
-        print_json(delivery._document())
+        if delivery._document is not None:
+            print_json(delivery._document())
         return
     text = delivery._text()
     say("\n".join([*([text] if text else []), *(f"wrote {line}" for line in written)]))
 
 
 def deliver_file(
-    target: Path, command: str, inputs: Sequence[Path], *, force: bool, as_json: bool = False
+    target: Path,
+    command: str,
+    inputs: Sequence[Path],
+    *,
+    force: bool,
+    as_json: bool = False,
+    option: str = "--out",
 ) -> AbstractContextManager[Delivery]:
     """The same for one file that the user names: it is written at ``delivery / target.name``."""
-    names = [glob.escape(target.name)]
-    return deliver(target.parent, f"{command}-{target.stem[:40]}", names, inputs, force=force, as_json=as_json)
+    names, mark = [glob.escape(target.name)], f"{command}-{target.stem[:40]}"
+    return deliver(target.parent, mark, names, inputs, force=force, as_json=as_json, option=option)
 
 
 def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:

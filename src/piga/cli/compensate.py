@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -20,6 +19,7 @@ from piga.cli.common import (
     check_pipes,
     counted,
     deliver,
+    deliver_file,
     files_named_in,
     flag,
     note,
@@ -27,7 +27,6 @@ from piga.cli.common import (
     progress,
 )
 from piga.errors import ArgumentError
-from piga.output import results
 
 if TYPE_CHECKING:
     from piga.compensation import Compensated, CompensatedSet, Phase
@@ -92,31 +91,37 @@ def compensate(
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
     period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
-    options = _CompensationOptions(method, given, uncertainty, max_age, other_serial, period, rest)
     live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
     if live or several:
         _refuse(live, identify_phase=rest, phase=given, rate=period, report=report, as_run=as_run)
     if live:
-        _live(_one(calibrations), kind, options, arrow)
+        _live(_one(calibrations), kind, method, given, uncertainty, max_age, arrow)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
+    arguments: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "force": other_serial}
+    shown = {
+        "rate": "as recorded" if period is None else f"written at {1.0 / period:.6g} Hz, shown as recorded",
+        "calibration flagged when older than": "never" if max_age is None else f"{max_age:g} days",
+        "another serial number allowed": "yes" if other_serial else "no",
+    }
     inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
-    command, elsewhere = f"compensate-{out.stem[:40]}", None
+    command = f"compensate-{out.stem[:40]}"
     names = [glob.escape(path.name) for path in (out, report) if path is not None and path.parent == out.parent]
     with ExitStack() as stack:
         to = stack.enter_context(deliver(out.parent, command, names, inputs, force=force, as_json=json))
-        folder = to.stage
+        page_to = to
         if report is not None and report.parent != out.parent:
-            other = results(
-                report.parent, command, [glob.escape(report.name)], inputs, force=force, option="--report"
-            )
-            folder, elsewhere = stack.enter_context(other)
+            other = deliver_file(report, command, inputs, force=force, as_json=json, option="--report")
+            page_to = stack.enter_context(other)
         format_of(out)
-        solved = (_together if several else _single)(run, sources, calibrations, options, report is not None)
+        if several:
+            solved = _together(run, sources, calibrations, method, arguments, report is not None)
+        else:
+            solved = _single(run[0], sources, _one(calibrations), method, given, rest, arguments)
         with progress("writing", solved.result.size) as advance:
             written = write_rows(
                 solved.result, to / out.name, period=period, inputs=solved.inputs, progress=advance
@@ -125,15 +130,17 @@ def compensate(
             from piga.reports.render.page import write_page
 
             with progress("writing the report"):
-                write_page(solved.page(), folder / report.name)
+                write_page(solved.page(shown), page_to / report.name)
         summary = summary_of(solved.result, solved.records, written, solved.inputs)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
-        document["calibrations"] = [_verdict(one) for one in solved.calibrations]
+        document["calibrations"] = [
+            {"serial": used.serial, "verdict": used.verdict.grade}
+            | {"doubts": [doubt.words for doubt in used.verdict.doubts]}
+            for used in solved.calibrations
+        ]
         to.tell(lambda: document, lambda: counted(summary["rows"], "row"))
-    if not json:
-        said = [] if report is None or elsewhere is None else [f"wrote {elsewhere / report.name}"]
-        for line in [*said, *_notes(document)]:
-            note(line)
+    for line in [] if json else _notes(document):
+        note(line)
 
 
 def _notes(document: dict[str, Any]) -> Iterator[str]:
@@ -143,11 +150,6 @@ def _notes(document: dict[str, Any]) -> Iterator[str]:
     yield from document["notes"]
     for used in document["calibrations"]:
         yield from (f"piga: calibration of {used['serial']}: {doubt}" for doubt in used["doubts"])
-
-
-def _verdict(used: Calibration) -> dict[str, Any]:
-    doubts = [doubt.words for doubt in used.verdict.doubts]
-    return {"serial": used.serial, "verdict": used.verdict.grade, "doubts": doubts}
 
 
 _ONE_RECORD = {
@@ -162,11 +164,10 @@ _ONE_RECORD = {
 
 def _refuse(live: bool, **options: object) -> None:
     """Refuse an option that would have no effect."""
-    kind = "live" if live else "several"
+    kind, where = ("live", "a live stream") if live else ("several", "several instruments")
     for name, value in options.items():
         *refused, remedy = _ONE_RECORD[name]
         if value and kind in refused:
-            where = "a live stream" if live else "several instruments"
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
 
 
@@ -178,57 +179,24 @@ def _one(calibrations: list[Calibration]) -> Calibration:
     return calibrations[0]
 
 
-@dataclass(frozen=True)
-class _CompensationOptions:
-    """Options of a compensation.
-
-    ``period`` [s] is the interval of another output rate. ``rest`` [s] is the time at rest that gives the phase.
-    """
-
-    method: str | None
-    phase: Phase | None
-    uncertainty: bool
-    max_age: float | None
-    other_serial: bool
-    period: float | None
-    rest: float | None
-
-    def arguments(self) -> dict[str, Any]:
-        """Keyword arguments that the functions of :mod:`piga.compensation` share."""
-        return {"uncertainty": self.uncertainty, "max_age_days": self.max_age, "force": self.other_serial}
-
-    def in_words(self, **more: str) -> dict[str, str]:
-        """Options as label-value pairs for the report, after those in ``more``."""
-        rate = (
-            "as recorded"
-            if self.period is None
-            else f"written at {1.0 / self.period:.6g} Hz, shown as recorded"
-        )
-        return more | {
-            "rate": rate,
-            "calibration flagged when older than": "never"
-            if self.max_age is None
-            else f"{self.max_age:g} days",
-            "another serial number allowed": "yes" if self.other_serial else "no",
-        }
-
-
 class _Solved(NamedTuple):
-    """A compensation: its result, records and files, the calibrations used, and its page, made when it is called."""
+    """A compensation: result, records, files and calibrations used, and its page, made of the options in words."""
 
     result: Compensated | CompensatedSet
     records: Sequence[Run]
     inputs: Inputs
     calibrations: list[Calibration]
-    page: Callable[[], Page]
+    page: Callable[[dict[str, str]], Page]
 
 
 def _single(
-    runs: list[Path],
+    run: Path,
     sources: list[tuple[str, str]],
-    calibrations: list[Calibration],
-    options: _CompensationOptions,
-    _details: bool,
+    calibration: Calibration,
+    method: str | None,
+    phase: Phase | None,
+    rest: float | None,
+    arguments: dict[str, Any],
 ) -> _Solved:
     """Compensate one recorded run of any length. ``sources`` are the calibration file and its SHA-256 as read."""
     from piga.compensation import identify_phase
@@ -236,43 +204,40 @@ def _single(
     from piga.compensation.model import check_method
     from piga.stand import read_run
 
-    calibration, phase = _one(calibrations), options.phase
     with progress("reading"):
-        record = read_run(runs[0])
+        record = read_run(run)
     inputs = [*record.input_sha256.items(), *sources]
-    if options.rest is not None:
-        phase = identify_phase(record, calibration, options.rest)
+    if rest is not None:
+        phase = identify_phase(record, calibration, rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
     with progress("compensating", record.size) as advance:
-        result = compensate(
-            record, calibration, method=options.method, phase=phase, progress=advance, **options.arguments()
-        )
+        result = compensate(record, calibration, method=method, phase=phase, progress=advance, **arguments)
 
-    def page() -> Page:
+    def page(shown: dict[str, str]) -> Page:
         from piga.reports.compensation import compensation_page, of_record
 
-        words = {"method": check_method(options.method, calibration)}
+        words = {"method": check_method(method, calibration)}
         if not calibration.direct:
             given = f"{phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad" if phase else ""
             words["phase used"] = given or "of the calibration"
         data = inputs[1 if len(inputs) > 2 else 0][0]
-        outline = of_record(record, calibration, result)
-        return compensation_page(outline, (data,), inputs, options.in_words(**words))
+        return compensation_page(of_record(record, calibration, result), (data,), inputs, words | shown)
 
-    return _Solved(result, [record], inputs, calibrations, page)
+    return _Solved(result, [record], inputs, [calibration], page)
 
 
 def _together(
     runs: list[Path],
     sources: list[tuple[str, str]],
     calibrations: list[Calibration],
-    options: _CompensationOptions,
+    method: str | None,
+    arguments: dict[str, Any],
     details: bool,
 ) -> _Solved:
     """Solve several instruments together, with the calibrations given or those that the triad file names."""
     from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad
 
-    if options.method == "published":
+    if method == "published":
         raise ArgumentError(
             "--method published is not for several instruments", remedy="leave it out: a set is solved exactly"
         )
@@ -287,31 +252,38 @@ def _together(
         )
     each = list(zip(paths, mounted, strict=True))
     with progress("reading"):
-        records = [read_member(path, item, options.other_serial) for path, item in each]
+        records = [read_member(path, item, arguments["force"]) for path, item in each]
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
     with progress("compensating", records[0].size) as advance:
-        result = compensate_set(records, mounted, details=details, progress=advance, **options.arguments())
+        result = compensate_set(records, mounted, details=details, progress=advance, **arguments)
 
-    def page() -> Page:
+    def page(shown: dict[str, str]) -> Page:
         from piga.reports.compensation import compensation_page, of_set
 
         serials = [(path.stem, item.calibration.serial) for path, item in each]
         names = tuple(f"{name} ({serial})" if serial else name for name, serial in serials)
         outline, files = of_set(records, mounted, result), list(dict.fromkeys(inputs))
-        return compensation_page(outline, names, files, options.in_words(method="exact"))
+        return compensation_page(outline, names, files, {"method": "exact"} | shown)
 
     return _Solved(result, records, inputs, [item.calibration for item in mounted], page)
 
 
-def _live(calibration: Calibration, kind: str, options: _CompensationOptions, arrow: bool) -> None:
+def _live(
+    calibration: Calibration,
+    kind: str,
+    method: str | None,
+    phase: Phase | None,
+    uncertainty: bool,
+    max_age: float | None,
+    arrow: bool,
+) -> None:
     from piga.compensation import Compensator
     from piga.compensation.live import compensate_arrow, compensate_lines
 
     check_pipes()
     stream = Compensator(
-        calibration, kind=kind, method=options.method, phase=options.phase, uncertainty=options.uncertainty,
-        max_age_days=options.max_age,
-    )  # fmt: skip
+        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
+    )
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:
