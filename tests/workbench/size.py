@@ -130,10 +130,10 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
         client.ask("/")
         before = memory(server.process.pid)
         started = time.perf_counter()
-        client.until("/picture/large.toml", lambda text: "data-drawn" in text, 3600.0)
+        client.until("/record/large.toml", lambda text: "data-drawn" in text, 3600.0)
         reading = time.perf_counter() - started
         started = time.perf_counter()
-        page = client.page("/picture/large.toml")
+        page = client.page("/record/large.toml")
         record = json.loads(html.unescape(re.search(r'data-drawn="([^"]+)"', page)[1]))  # type: ignore[index]
         duration, pictures = record["duration"], ["output", "difference", "fX,fY,fZ"]
         for keys in pictures:

@@ -29,7 +29,7 @@ def test_what_is_listed_can_be_opened(tmp_path: Path) -> None:
     (tmp_path / "nowhere.xml").symlink_to(tmp_path / "none.xml")
     (tmp_path / "folder.xml").mkdir()
     folder = Folder(tmp_path)
-    names = folder.listed(".xml")
+    names = [folder.name(path) for path in folder.files()]
     assert names == ["a.xml", "b.xml", "kept/c.xml"]
     assert all(folder.read(folder.file(name)) == b"<x/>" for name in names)
 

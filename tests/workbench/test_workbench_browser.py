@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import pytest
 
 from piga.records import Calibration
-from tests.certificate.certificate_data import budgeted, key_pair
+from tests.certificate.certificate_data import budgeted
 from tests.reports.example import calibration
 from tests.workbench import logs
 from tests.workbench.conftest import Browser, Server, both, entered, narrow, shipped_record, wait_until, window
@@ -120,21 +120,9 @@ def _timeless(path: Path) -> bytes:
     return re.sub(rb'"created": "[^"]*"', b"", raw) if path.suffix == ".json" else raw
 
 
-def test_k_nine_times_nominal_is_red_and_cannot_be_kept(browser: Browser, place: Path) -> None:
-    page = browser.page
-    text = (place / "tumble-a.toml").read_text(encoding="utf-8")
-    (place / "nine.toml").write_text(text.replace("0.8884 rad/s/g", "0.0987 rad/s/g"), encoding="utf-8")
-    browser.open("/record/nine.toml")
-    page.locator("#answer .light.red").wait_for()
-    assert page.get_by_role("button", name="Keep", exact=True).is_disabled()
-    browser.is_accessible()
-    browser.open("/jobs")  # a page of the record asks for it again
-    (place / "nine.toml").unlink()
-
-
 def test_keep_keep_another_compare_undo(browser: Browser, place: Path) -> None:
     page = browser.page
-    browser.open("/record/tumble-a.toml?terms=scale_factor,tan_beta,k0")
+    browser.open("/record/tumble-a.toml?term=scale_factor&term=tan_beta&term=k0")
     before = len(list(place.glob("tumble-a-calibration*")))
     answered(browser)
     page.get_by_role("button", name="Keep", exact=True).click()
@@ -233,44 +221,25 @@ def test_a_lost_server_is_said_and_found_again(program: Any, tmp_path: Path) -> 
 
 
 @narrow
-def test_a_certificate_is_signed_verified_and_refused_when_it_was_changed(
-    browser: Browser, place: Path
-) -> None:
+def test_a_certificate_is_issued(browser: Browser, place: Path) -> None:
     page = browser.page
     made_up = place / "made-up-calibration"
     made_up.mkdir()
     budgeted(calibration(serial="tumble-a", with_residuals=False)).to_json(made_up / "calibration.json")
-    text = (Path("examples") / "certificate.toml").read_text(encoding="utf-8")
-    key_pair(place, "lab")
     browser.open("/certificate?of=made-up-calibration")
     for entry in page.locator(".missing input, .missing textarea").all():
         example = entry.get_attribute("placeholder") or ""
         entry.fill("2025-12-30" if re.fullmatch(r"2026-\d\d-\d\d", example) else example)  # before the result
     page.evaluate("document.querySelector('button[value=issue]').disabled = false")
     page.get_by_label("Also as digital certificate").check()
-    page.get_by_label("Key that signs it").select_option("lab-key.pem")
-    page.get_by_label("X.509 certificate").select_option("lab-cert.pem")
     number = page.get_by_label("number").input_value()
     page.get_by_role("button", name="Issue").click()
     page.get_by_role("link", name="certificate.xml").wait_for()
-    signed = place / f"certificate-{number}" / "certificate.xml"
-    forged = place / "forged.xml"
-    assert "Example Navigation Ltd" in text
-    forged.write_text(
-        signed.read_text(encoding="utf-8").replace("Example Navigation Ltd", "Other Ltd"), encoding="utf-8"
-    )
-    for name, state, words in (
-        (f"{signed.parent.name}/certificate.xml", "done", "the signature holds"),
-        ("forged.xml", "failed", "does not hold"),
-    ):
-        browser.open("/certificate?of=made-up-calibration")
-        page.locator("select[name=signed]").select_option(name)
-        page.get_by_label("signed by").select_option("lab-cert.pem")
-        page.get_by_role("button", name="Verify").click()
-        page.locator(f".state.{state}").wait_for()
-        page.get_by_text(words).first.wait_for()
-        browser.is_accessible()
-    forged.unlink()
+    browser.is_accessible()
+    document = (place / f"certificate-{number}" / "certificate.xml").read_text(encoding="utf-8")
+    assert "Rubidium frequency standard" in document
+    browser.open("/certificate?of=made-up-calibration")
+    assert page.get_by_label("number").input_value() != number  # a number is used once
     shutil.rmtree(made_up)
     (place / "certificate.toml").unlink()
 
@@ -282,7 +251,6 @@ def test_every_other_page_is_clean(browser: Browser, place: Path) -> None:
         "/text",
         "/text?file=twin.toml",
         "/text?example=plan-dividing-head.toml",
-        "/ledger",
         "/plan",
         "/compensate",
         "/certificate",

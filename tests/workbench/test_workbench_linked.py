@@ -36,11 +36,10 @@ def report(place: Path, running: Any) -> tuple[str, Any]:
     """Path of a result's page, and its residuals."""
     import pyarrow.parquet as pq
 
-    client, name = running.client, "tumble-a.toml?terms=scale_factor,tan_beta,k0"
-    client.page(f"/record/{name}")
-    answer = client.until(f"/answer/{name}", lambda text: "Full report" in text)
-    key, mark = (re.search(f'name="{field}" value="([^"]+)"', answer)[1] for field in ("key", "mark"))  # type: ignore[index]
-    assert client.post("/keep/tumble-a.toml", {"key": key, "mark": mark})[0] == 303
+    client, name = running.client, "tumble-a.toml?term=scale_factor&term=tan_beta&term=k0"
+    answer = client.until(f"/record/{name}", lambda text: "Full report" in text)
+    key = re.search('name="key" value="([^"]+)"', answer)[1]  # type: ignore[index]
+    assert client.post("/keep/tumble-a.toml", {"key": key})[0] == 303
     residuals = pq.read_table(place / "tumble-a-calibration" / "residuals.parquet").to_pandas()
     return "/kept/tumble-a-calibration", residuals.astype({"segment": int})
 

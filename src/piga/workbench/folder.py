@@ -13,7 +13,6 @@ import re
 import secrets
 import stat
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -21,14 +20,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import msgspec
-
 from piga.errors import ArgumentError, PigaError
 from piga.formats.container import CONTAINERS
 from piga.output import write_whole
 from piga.reading.columns import TEXT_SUFFIXES, file_kind
+from piga.records.calibration import Calibration
+from piga.records.calibration.document import calibration_from_bytes
 from piga.records.run_file import read_run_file
 from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
+from piga.units import G0
 
 _LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
@@ -54,32 +54,21 @@ class OutsideError(ArgumentError):
     """A path that may not be used."""
 
 
-class _Coefficient(msgspec.Struct):
-    name: str
-    value: float
-    std: float
-    unit: str
-
-
-class _KeptFile(msgspec.Struct):
-    """The parts of ``calibration.json`` that a list shows."""
-
-    instrument: dict[str, Any]
-    coefficients: list[_Coefficient]
-    provenance: dict[str, Any]
-
-
 @dataclass(frozen=True)
 class Kept:
-    """A kept calibration: its folder, serial number, when it was made, and K with its standard uncertainty."""
+    """A calibration of the folder: its folder, and K with its standard uncertainty and nominal value in ``unit``."""
 
     name: str
-    serial: str
-    created: str
+    calibration: Calibration
     K: float
     u: float
     unit: str
     nominal: float
+
+    @property
+    def created(self) -> str:
+        """When it was made, to the second."""
+        return self.calibration.provenance.created[:19]
 
     @property
     def record(self) -> str:
@@ -126,13 +115,6 @@ class Entry:
     changed: float = 0.0
     message: str = ""
     kept: tuple[Kept, ...] = ()
-
-    @property
-    def day(self) -> str:
-        """Day of the last change of the data file."""
-        with suppress(OSError, OverflowError, ValueError):
-            return time.strftime("%Y-%m-%d", time.localtime(self.changed))
-        return ""
 
 
 class Folder:
@@ -202,9 +184,8 @@ class Folder:
             with open(path, "rb", opener=lambda *_: self._opened(path)) as stream:
                 status = os.fstat(stream.fileno())
                 if not stat.S_ISREG(status.st_mode) or status.st_size > most:
-                    raise OutsideError(
-                        f"{path.name}: is no regular file, or too large", remedy="choose another"
-                    )
+                    words = f"{path.name}: is no regular file, or larger than {most >> 20} MiB"
+                    raise OutsideError(words, remedy="choose another")
                 return stream.read(most + 1)
         except OSError as error:
             words = f"{path.name}: cannot be read ({error.strerror})"
@@ -235,31 +216,18 @@ class Folder:
     def toml(self, name: str) -> Path:
         """The path of a TOML file all of whose named files lie in this folder."""
         path = self.file(name)
-        if path.suffix != ".toml" or path.stat().st_size > _MOST_TOML:
-            words = f"{name}: is no TOML file of at most {_MOST_TOML >> 20} MiB"
-            raise OutsideError(words, remedy="choose a run file")
-        self._check_named(path, [*files_named_in(path), *_data_file(path, _toml_or_nothing(path))])
-        return path
-
-    def write_toml(self, path: Path, text: str, *, kind: str = "run", new: bool = False) -> None:
-        """Write a complete TOML file if it is valid. Every file that it names must be in this folder."""
-        raw = text.replace("\r\n", "\n").encode("utf-8")
-        if len(raw) > _MOST_TOML:
-            raise OutsideError(f"{path.name}: is larger than {_MOST_TOML >> 20} MiB", remedy="shorten it")
-        document = toml_document(path, raw)
-        if kind == "run":
-            read_run_file(path, raw)
-        words = [word for word in texts_of(document) if word and len(word) < MAX_NAME and "\0" not in word]
-        self._check_named(path, [path.parent / word for word in words if os.path.lexists(path.parent / word)])
-        write_whole(path, lambda part: part.write_bytes(raw), replace=not new)
-
-    def _check_named(self, path: Path, files: list[Path]) -> None:
-        for named in files:
+        if path.suffix != ".toml":
+            raise OutsideError(f"{name}: is no TOML file", remedy="choose a run file")
+        texts = texts_of(toml_document(path, self.read(path, _MOST_TOML)))
+        named = [path.parent / text for text in texts if text and len(text) < MAX_NAME and "\0" not in text]
+        named = [one for one in named if os.path.lexists(one) and not one.is_dir()]
+        for one in (*files_named_in(path), *named):
             try:
-                self._checked(Path(os.path.normpath(named)))
+                self._checked(Path(os.path.normpath(one)))
             except OutsideError as error:
-                words = f"{path.name} names {named.name[:80]}: {error.message}"
+                words = f"{path.name} names {one.name[:80]}: {error.message}"
                 raise OutsideError(words, remedy=error.remedy) from None
+        return path
 
     # --- what is in it ----------------------------------------------------------------------------
 
@@ -277,35 +245,54 @@ class Folder:
                 if _is_plain(self.name(here / name)) and _is_regular(here / name):
                     yield here / name
 
-    def listed(self, *endings: str) -> list[str]:
-        """The files with these endings."""
-        return [self.name(path) for path in self.files() if path.name.lower().endswith(endings)]
-
     def entries(self) -> list[Entry]:
         """All records, the newest first: those with a run file, and logs without one."""
         files = list(self.files())
         results = {path.parent for path in files if path.name == CALIBRATION}
-        kept: dict[str, list[Kept]] = {}
-        for one in filter(None, map(self.kept, sorted(results))):
-            kept.setdefault(one.record, []).append(one)
         files = [path for path in files if path.parent not in results]
-        described: set[Path] = set()
-        entries = []
+        kept = [one for one in map(self.kept, sorted(results)) if one is not None]
+        entries, described = [], set()
         for path in (path for path in files if path.suffix == ".toml"):
-            document = self._once([path], _toml_or_nothing, path)
-            if document is None or "data" in document:
-                data = _data_file(path, document)
-                described.update(data)
-                entry = self._once([path, *data], self._run_entry, path, data)
-                mine = kept.get(self.name(results_of(path)), [])
-                mine.sort(key=lambda one: (one.version != 0, one.version))
-                state = "kept" if mine and entry.state == "ready" else entry.state
-                entries.append(replace(entry, kept=tuple(mine), state=state))
+            entry: Entry | None = self._once(self._described, path)
+            if entry is None:
+                continue
+            data = path.parent / entry.log
+            described.add(data)
+            place = self.name(results_of(path))
+            mine = sorted(
+                (one for one in kept if one.record == place), key=lambda one: (one.version != 0, one.version)
+            )
+            entry = replace(entry, kept=tuple(mine))
+            if entry.state == "ready" and _is_regular(data):
+                status = data.stat()
+                state = "kept" if mine else "ready"
+                entry = replace(entry, state=state, size=status.st_size, changed=status.st_mtime)
+            elif entry.state == "ready":
+                words = f"{entry.log}: there is no such file beside the run file\n  remedy: copy it there"
+                entry = replace(entry, state="faulty", message=words)
+            entries.append(entry)
         for path in files:
             if file_kind(path) in _LOG_SUFFIXES and path not in described:
                 status = path.stat()
                 entries.append(Entry(self.name(path), "log", "", path.name, status.st_size, status.st_mtime))
         return sorted(entries, key=lambda entry: (-entry.changed, entry.name))
+
+    def _described(self, path: Path) -> Entry | None:
+        """The record of a run file, before its data file is looked at; None for another TOML file."""
+        entry = Entry(self.name(path), "ready", changed=path.stat().st_mtime)
+        try:
+            raw = self.read(path, _MOST_TOML)
+            data = toml_document(path, raw).get("data")
+            if data is None:
+                return None
+            log = str(data.get("file", "")) if isinstance(data, dict) else ""
+            entry = replace(entry, log=log if len(log) < MAX_NAME and "\0" not in log else "")
+            run_file = read_run_file(path, raw)
+            entry = replace(entry, serial=run_file.instrument.serial)
+            self.toml(entry.name)
+        except PigaError as error:
+            return replace(entry, state="faulty", message=str(error))
+        return entry
 
     def entry(self, name: str) -> Entry:
         """One record."""
@@ -314,44 +301,34 @@ class Folder:
             raise OutsideError(f"{name[:200]}: is not a record of this folder", remedy="choose a listed record")
         return entry
 
-    def _run_entry(self, path: Path, data: list[Path]) -> Entry:
-        name, serial, log = self.name(path), "", ""
-        try:
-            self.toml(name)
-            run_file = read_run_file(path)
-            serial, log = run_file.instrument.serial, run_file.data.file
-            if not data or not _is_regular(data[0]):
-                raise ArgumentError(f"{log}: there is no such file beside the run file", remedy="copy it there")
-        except (PigaError, OSError) as error:
-            return Entry(name, "faulty", serial, log, changed=path.stat().st_mtime, message=str(error))
-        status = data[0].stat()
-        return Entry(name, "ready", serial, log, status.st_size, status.st_mtime)
-
     def kept(self, folder: Path) -> Kept | None:
-        """The kept calibration of a folder; None if it cannot be read."""
-        kept: Kept | None = self._once([folder / CALIBRATION], self._read_kept, folder)
+        """The calibration of a folder; None if it cannot be read."""
+        kept: Kept | None = self._once(self._kept, folder / CALIBRATION)
         return kept
 
-    def _read_kept(self, folder: Path) -> Kept | None:
+    def _kept(self, path: Path) -> Kept | None:
         try:
-            document = msgspec.json.decode(self.read(folder / CALIBRATION), type=_KeptFile)
-            nominal = float(document.instrument["scale_factor_nominal"]["value"])
-            values = {one.name: one for one in document.coefficients}
-            K = values.get("scale_factor")
-            if K is None:  # the calibration has the relative term k1 instead
-                k1 = values["k1"]
-                K = _Coefficient("", nominal * (1.0 + k1.value), nominal * k1.std, "rad/s/g")
-            serial, made = str(document.instrument["serial"]), str(document.provenance.get("created", ""))
-            return Kept(self.name(folder), serial, made[:19], K.value, K.std, K.unit, nominal)
-        except (PigaError, msgspec.MsgspecError, KeyError, TypeError, ValueError, ZeroDivisionError):
+            made = calibration_from_bytes(self.read(path), path)
+        except PigaError:
             return None
+        nominal = made.scale_factor_nominal * G0
+        named = {one.name: one for one in made.coefficients}
+        K, k1, name = named.get("scale_factor"), named.get("k1"), self.name(path.parent)
+        if K is not None and nominal:
+            return Kept(name, made, K.value, K.std, K.unit, nominal)
+        if k1 is not None and nominal:  # the relative term in its place
+            return Kept(name, made, nominal * (1.0 + k1.value), nominal * k1.std, f"{made.unit}/g", nominal)
+        return None
 
-    def _once(self, paths: list[Path], read: Callable[..., Any], *arguments: Any) -> Any:
-        """What was read from files, read again only if one of them has changed."""
-        key, states = (read.__name__, *paths), [_state(path) for path in paths]
-        if self._seen.get(key, (None,))[0] != states:
-            self._seen[key] = (states, read(*arguments))
-        return self._seen[key][1]
+    def _once(self, read: Callable[[Path], Any], path: Path) -> Any:
+        """What was read from a file, read again only if the file has changed."""
+        state: Any = None
+        with suppress(OSError):
+            status = os.lstat(path)
+            state = (status.st_mtime_ns, status.st_size)
+        if self._seen.get(path, (None,))[0] != state or state is None:
+            self._seen[path] = (state, read(path))
+        return self._seen[path][1]
 
     def free_name(self, wanted: str) -> Path:
         """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's."""
@@ -379,34 +356,10 @@ def _is_plain(name: str) -> bool:
     return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
 
 
-def _state(path: Path) -> tuple[int, int]:
-    with suppress(OSError):
-        status = os.lstat(path)
-        return (status.st_mtime_ns, status.st_size)
-    return (0, 0)
-
-
 def _is_regular(path: Path) -> bool:
     with suppress(OSError):
         return stat.S_ISREG(os.lstat(path).st_mode)
     return False
-
-
-def _toml_or_nothing(path: Path) -> dict[str, Any] | None:
-    """The tables of a TOML file; None if it cannot be read."""
-    if path.stat().st_size > _MOST_TOML:
-        return {}
-    with suppress(PigaError):
-        return toml_document(path)
-    return None
-
-
-def _data_file(path: Path, document: dict[str, Any] | None) -> list[Path]:
-    """The data file that a run file names, whether it exists or not."""
-    table = (document or {}).get("data")
-    name = table.get("file") if isinstance(table, dict) else None
-    good = isinstance(name, str) and name and "\0" not in name and len(name) < MAX_NAME
-    return [path.parent / str(name)] if good else []
 
 
 # --- what was changed -----------------------------------------------------------------------------
@@ -429,7 +382,7 @@ class History:
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._changes: deque[tuple[str, tuple[tuple[Path, Path | None], ...]]] = deque(maxlen=_MOST_STEPS)
+        self._changes: deque[tuple[str, Path, Path | None]] = deque(maxlen=_MOST_STEPS)
         self._texts: dict[str, str] = {}
         self.lock = threading.RLock()
 
@@ -438,9 +391,9 @@ class History:
         """What Undo takes back, in words; "" if there is nothing."""
         return self._changes[-1][0] if self._changes else ""
 
-    def note(self, words: str, *steps: tuple[Path, Path | None]) -> None:
-        """A change was made."""
-        self._changes.append((words, steps))
+    def note(self, words: str, path: Path, former: Path | None) -> None:
+        """A file or folder was changed; ``former`` is where its former content lies."""
+        self._changes.append((words, path, former))
 
     def put_away(self, path: Path) -> Path | None:
         """Move a file or folder to the trash; None if there is none."""
@@ -451,17 +404,17 @@ class History:
         return self._folder.state_room("trash") / f"{secrets.token_hex(6)}-{path.name[-80:]}"
 
     def undo(self) -> str:
-        """Take the last change back, its steps in the reverse order; what it was, in words."""
+        """Take the last change back; what it was, in words."""
         with self.lock:
             if not self._changes:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
-            words, steps = self._changes.pop()
-            for path, former in reversed(steps):
-                # a file is replaced at once: a page may ask for it at any time
-                if former is None or not former.is_file():
-                    self.put_away(path)
-                if former is not None:
-                    former.replace(path)
+            words, path, former = self._changes.pop()
+            if (
+                former is None or not former.is_file()
+            ):  # a file is replaced at once: a page may ask for it at any time
+                self.put_away(path)
+            if former is not None:
+                former.replace(path)
             return words
 
     def seen(self, text: str) -> str:
@@ -473,19 +426,26 @@ class History:
             self._texts.pop(old, None)
         return mark
 
-    def write(self, name: str, seen: str, text: str, words: str, kind: str = "run") -> None:
-        """Write a TOML file of the folder if it is what the page had seen. An empty ``seen`` is that of a new file."""
+    def write(self, name: str, seen: str, text: str, words: str) -> None:
+        """Write a TOML file of the folder if it is valid, and what the page had seen. ``seen`` is empty for a new file."""
         with self.lock:
-            path, former = self._folder.path(name), None
-            before = self._folder.text(name) if path.exists() else ""
-            if seen != (self.seen(before) if path.exists() else ""):
+            path, text = self._folder.path(name), text.replace("\r\n", "\n")
+            is_new = not path.exists()
+            former_raw = b"" if is_new else self._folder.read(path, _MOST_TOML)
+            before = former_raw.decode("utf-8", "replace")
+            if seen != ("" if is_new else self.seen(before)):
                 saw = self._texts.get(seen, "").splitlines()
                 lines = list(difflib.unified_diff(saw, before.splitlines(), lineterm="", n=0))[2:42]
                 raise ChangedError(name, [line for line in lines if line[:1] in "+-"])
-            if text.replace("\r\n", "\n") == before:
+            if text == before:
                 return
-            if path.exists():
-                former = self._place_for(path)
-                former.write_bytes(self._folder.read(path))
-            self._folder.write_toml(path, text, kind=kind, new=former is None)
-            self.note(words, (path, former))
+            raw = text.encode("utf-8")
+            if len(raw) > _MOST_TOML:
+                raise OutsideError(f"{path.name}: is larger than {_MOST_TOML >> 20} MiB", remedy="shorten it")
+            if "data" in toml_document(path, raw):
+                read_run_file(path, raw)
+            former = None if is_new else self._place_for(path)
+            if former is not None:
+                former.write_bytes(former_raw)
+            write_whole(path, lambda part: part.write_bytes(raw), replace=not is_new)
+            self.note(words, path, former)

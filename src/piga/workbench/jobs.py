@@ -8,7 +8,6 @@ after Ctrl-C: it reads the end of its standard input then.
 from __future__ import annotations
 
 import json
-import math
 import os
 import secrets
 import shutil
@@ -30,6 +29,10 @@ MOST_RUNNING = 4
 """Jobs that may run at the same time."""
 MOST_KEPT = 200
 """Jobs that are remembered. The oldest that have ended are forgotten."""
+LAPSE = 3.0
+"""Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record."""
+FIT = "Fit"
+"""Title of the fits of a record."""
 _PATIENCE, _LAST_PATIENCE = 2.0, 1.0
 """Time [s] that a stopped job has to end by itself, and when the server ends."""
 _MOST_TEXT = 200_000
@@ -46,26 +49,28 @@ class Job:
 
     Attributes
     ----------
-    child, place:
-        Its process, and the folder of what it prints.
+    child, input, place:
+        Its process, the standard input of it, and the folder of what it prints.
     command:
         Arguments of ``piga``; paths are relative to the opened folder.
     title, subject:
         What it does, and the record it is for.
     result:
         Folder or file of the results below the opened folder, or "".
-    started, ended:
-        Times of the start and of the end [s since 1970].
+    started, ended, asked:
+        Times of the start, of the end (0 before) and of the last question of a page [s since 1970].
     """
 
     child: subprocess.Popen[bytes]
+    input: IO[bytes]
     place: Path
     command: tuple[str, ...] = ()
     title: str = ""
     subject: str = ""
     result: str = ""
     started: float = 0.0
-    ended: float = math.nan
+    ended: float = 0.0
+    asked: float = 0.0
     was_stopped: bool = False
 
     @property
@@ -79,7 +84,7 @@ class Job:
         code = self.child.poll()
         if code is None:
             return "running"
-        if math.isnan(self.ended):
+        if not self.ended:
             self.ended = time.time()
             self.input.close()
         return "done" if code == 0 else "stopped" if self.was_stopped else "failed"
@@ -95,11 +100,6 @@ class Job:
         with suppress(OSError, ValueError):
             return dict(json.loads((self.place / "progress").read_text(encoding="utf-8")))
         return {"what": "", "share": None}
-
-    @property
-    def input(self) -> IO[bytes]:
-        """Its standard input."""
-        return cast("IO[bytes]", self.child.stdin)
 
     def text(self, name: Literal["out", "err"]) -> str:
         """What it printed on standard output or standard error (the last part of a long text)."""
@@ -130,31 +130,26 @@ class Jobs:
                 cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
                 start_new_session=True,
             )  # fmt: skip
-        return Job(child, place)
+        return Job(child, cast("IO[bytes]", child.stdin), place)
 
-    def start(
-        self, command: Sequence[str], title: str, subject: str, result: str = "", reads: Sequence[Path] = ()
-    ) -> Job:
+    def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
         """Start ``piga`` with these arguments in the opened folder.
 
-        If the same command makes this result already, that job is returned. ``reads`` are the files that it reads: a job
-        that began before one of them changed does something else.
+        If the same command makes this result already, that job is returned.
         """
         with self._lock:  # many requests may ask at the same time
-            running = self.running()
+            running = [job for job in self.all() if job.state == "running"]
             for job in (job for job in running if result and job.result == result):
-                if (job.title, job.command) == (title, tuple(command)) and job.started > _last_change(reads):
+                if job.command == tuple(command):
                     return job
-                raise BusyError(
-                    f"{result} is just being made from another input or with other options",
-                    remedy="wait until that job has ended, or stop it",
-                )
+                words = f"{result} is just being made with other options"
+                raise BusyError(words, remedy="wait until that job has ended, or stop it")
             if len(running) >= MOST_RUNNING:
                 raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
             job = self._spare if self._spare.child.poll() is None else self._waiting()
             self._spare = self._waiting()
             job.command, job.title, job.subject, job.result = tuple(command), title, subject, result
-            job.started = time.time()
+            job.started = job.asked = time.time()
             job.input.write(json.dumps(command).encode() + b"\n")
             job.input.flush()
             self._jobs[job.key] = job
@@ -166,10 +161,6 @@ class Jobs:
         """All jobs, the newest first."""
         return list(reversed(list(self._jobs.values())))
 
-    def running(self) -> list[Job]:
-        """The jobs that run."""
-        return [job for job in self.all() if job.state == "running"]
-
     def get(self, key: str) -> Job | None:
         """The job with this key, or None."""
         return self._jobs.get(key)
@@ -177,6 +168,15 @@ class Jobs:
     def latest(self, subject: str, result: str) -> Job | None:
         """The newest job for a record that makes this result, or None."""
         return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
+
+    def attend(self, job: Job) -> None:
+        """A page waits for this job. Fits of the same record that no page waits for any more are ended and forgotten."""
+        job.asked = now = time.time()
+        for other in self.all():
+            is_fit = (other.title, other.subject) == (FIT, job.subject) and other.state == "running"
+            if is_fit and now - other.asked > LAPSE:
+                self.stop(other, patience=0.0)
+                self.forget(other)
 
     def stop(self, *jobs: Job, patience: float = _PATIENCE) -> None:
         """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
@@ -202,9 +202,3 @@ class Jobs:
         if job.state != "running":
             self._jobs.pop(job.key, None)
             shutil.rmtree(job.place, ignore_errors=True)
-
-
-def _last_change(paths: Sequence[Path]) -> float:
-    """Time of the last change of files [s since 1970]; a copy that keeps its time counts from when it came."""
-    states = [path.stat() for path in paths if path.is_file()]
-    return max((max(state.st_mtime, state.st_ctime) for state in states), default=-math.inf)

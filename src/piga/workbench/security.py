@@ -16,7 +16,6 @@ import os
 import secrets
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from starlette.datastructures import MutableHeaders
@@ -49,36 +48,21 @@ _HEADERS = {
 """Headers of an answer that does not set them itself: no inline script, nothing from outside."""
 
 
-@dataclass
 class Door:
     """The one-time token and the session of one server.
 
     The session is kept in the user's cache, by port and folder: a server that is started again at the same address knows
-    its browser again.
-
-    Attributes
-    ----------
-    port, folder:
-        The port that the server listens on, and the opened folder.
-    token:
-        Token of the printed address; empty once it was used.
+    its browser again. ``token`` is that of the printed address; it is empty once it was used.
     """
 
-    port: int
-    folder: str = ""
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    _session: str = ""
-    _began: float = 0.0
-
-    def __post_init__(self) -> None:
+    def __init__(self, port: int, folder: str = "") -> None:
+        self.port, self.token = port, secrets.token_urlsafe(24)
+        self._session, self._began = "", 0.0
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
+        self._store = cache / f"ui-{port}-{hashlib.sha256(folder.encode()).hexdigest()[:16]}"
         with suppress(PigaError, OSError, UnicodeDecodeError):
             self._began = self._store.stat().st_mtime
             self._session = read_whole(self._store, 100, "another port").decode("ascii")
-
-    @property
-    def _store(self) -> Path:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
-        return cache / f"ui-{self.port}-{hashlib.sha256(self.folder.encode()).hexdigest()[:16]}"
 
     @property
     def cookie(self) -> str:
@@ -92,11 +76,8 @@ class Door:
 
     def knows_host(self, host: str) -> bool:
         """True if ``host`` (of the request) is a loopback name with this server's port."""
-        names = (LOOPBACK, "localhost", "[::1]")
-        # browsers leave port 80 out
-        return host.lower() in [f"{name}:{self.port}" for name in names] or (
-            self.port == 80 and host.lower() in names
-        )
+        ports = (f":{self.port}", "") if self.port == 80 else (f":{self.port}",)  # browsers leave port 80 out
+        return host.lower() in {f"{name}{port}" for name in (LOOPBACK, "localhost", "[::1]") for port in ports}
 
     def knows_origin(self, origin: str) -> bool:
         """True if ``origin`` is a page of this server."""

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.formats.parquet import data_table
+from piga.records.calibration import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile
 from piga.records.text_files import toml_text
@@ -42,7 +43,7 @@ LONG, THINNED = 1_000_000, 50_000
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
 CHUNK = 1 << 20
-FORM = 8
+FORM = 9
 """Version of the cache's files."""
 
 
@@ -57,15 +58,6 @@ class Signal(msgspec.Struct, frozen=True):
     offset: float = 0.0
 
 
-class Finding(msgspec.Struct, frozen=True):
-    """A finding of the check, and the time [s] of its first row; None if it has no row."""
-
-    kind: str
-    count: int
-    detail: str
-    time: float | None
-
-
 class Span(msgspec.Struct, frozen=True):
     """A named span of time [s]: a position, or rows that are left out; ``rows``: first and last row of the file."""
 
@@ -78,8 +70,9 @@ class Span(msgspec.Struct, frozen=True):
 class Outline(msgspec.Struct, frozen=True):
     """What a page needs to know before it draws.
 
-    ``moves`` are rows at the ends of positions in which the stand still moves. ``phase_kept`` is False if the counter may
-    have folded unseen between positions. ``thinned``: every so many samples are in the thinned copy; 1 if there is none.
+    ``moves`` are rows at the ends of positions in which the stand still moves. ``findings`` are those of the check, with the
+    time [s] of their first row. ``phase_kept`` is False if the counter may have folded unseen between positions.
+    ``thinned``: every so many samples are in the thinned copy; 1 if there is none.
     """
 
     signals: tuple[Signal, ...]
@@ -90,7 +83,7 @@ class Outline(msgspec.Struct, frozen=True):
     positions: tuple[Span, ...]
     left_out: tuple[Span, ...]
     moves: tuple[Span, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[tuple[Event, float | None], ...]
     phase_kept: bool
     thinned: int = 1
 
@@ -134,11 +127,11 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
 
 
 def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
-    breaks = _breaks(run)
-    blocks = _blocks(run.size, breaks)
-    np.save(folder / "breaks.npy", breaks)
-    np.save(folder / "blocks.npy", blocks)
-    np.save(folder / "row.npy", run.row)
+    breaks = np.flatnonzero(run.begins[1:]) + 1
+    longest = np.argsort(np.abs(run.t[breaks] - run.t[breaks - 1]))[-_MOST_STRETCHES:]
+    breaks = np.sort(breaks[longest])
+    edges = [0, *breaks.tolist(), run.size]
+    blocks = np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
     t = _write_time(run, folder / "t.npy")
     temperature = run_file.data.temperature
     signals = _signals(run, "K" if temperature is None else temperature.unit)
@@ -149,24 +142,13 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
             _write_difference(run, t, column)
         else:
             column[:] = values
-    np.save(folder / "extremes.npy", _extremes(columns, columns, blocks))
+    extremes = _extremes(columns, columns, blocks)
+    for name, array in (("breaks", breaks), ("blocks", blocks), ("row", run.row), ("extremes", extremes)):
+        np.save(folder / f"{name}.npy", array)
     thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
     outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals), thinned)
     (folder / "outline.json").write_bytes(msgspec.json.encode(outline))
     return outline
-
-
-def _breaks(run: Run) -> NDArray[np.int64]:
-    """First samples of the stretches that follow the longest breaks."""
-    rows = np.flatnonzero(run.begins[1:]) + 1
-    size = np.abs(run.t[rows] - run.t[rows - 1])
-    return np.sort(rows[np.argsort(size)[-_MOST_STRETCHES:]])
-
-
-def _blocks(size: int, breaks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """First samples of the blocks of the envelope; each break begins one."""
-    edges = [0, *breaks.tolist(), size]
-    return np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
 
 
 def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
@@ -217,17 +199,15 @@ def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
 
 def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
-    degree = 180.0 / np.pi
+    degree, is_angle = 180.0 / np.pi, run.kind == "angle"
+    output = Signal("output", "output rate", "deg/s", degree, "output")
+    difference = Signal("difference", f"{run.quantity} minus K ∫aₓdt", "deg", degree, "difference")
     if run.direct:
         output = Signal("output", "output", run.output_unit, 1.0, "output")
-    elif run.kind == "angle":
+        difference = msgspec.structs.replace(difference, unit="count", factor=1.0)
+    elif is_angle:
         output = Signal("output", "output angle", "rev", 0.5 / np.pi, "output")
-    else:
-        output = Signal("output", "output rate", "deg/s", degree, "output")
-    signals: list[tuple[Signal, Any]] = [(output, run.output)]
-    if run.kind == "angle":
-        shown = ("count", 1.0) if run.direct else ("deg", degree)
-        signals.append((Signal("difference", f"{run.quantity} minus K ∫aₓdt", *shown, "difference"), None))
+    signals: list[tuple[Signal, Any]] = [(output, run.output), *([(difference, None)] if is_angle else [])]
     vectors = [("f", "a_", "g", 1.0 / G0, "specific force", run.f)]
     if run.base_rate is not None:
         vectors.append(("rate", "Ω_", "deg/s", degree, "base rate", run.base_rate))
@@ -235,10 +215,11 @@ def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
         for index, axis in enumerate("XYZ"):
             signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, group), values[:, index]))
     if run.temperature is not None:
-        factor = 1.0 / parse_unit(temperature_unit).factor
-        shown = (temperature_unit.replace("deg", "°"), factor)
+        unit, factor = temperature_unit.replace("deg", "°"), 1.0 / parse_unit(temperature_unit).factor
         offset = -offset_to_si(temperature_unit) * factor
-        signals.append((Signal("temperature", "temperature", *shown, "temperature", offset), run.temperature))
+        signals.append(
+            (Signal("temperature", "temperature", unit, factor, "temperature", offset), run.temperature)
+        )
     return signals
 
 
@@ -252,7 +233,7 @@ def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...],
     edges = run.segment_edges().tolist()
     pieces = [(run.labels[int(run.segment_index[first])], first, last) for first, last in pairwise(edges)]
     left_out = run_file.data.leave_out
-    findings = [event for event in run.quality.events if event.kind != "left-out"]  # those are drawn as spans
+    findings = [one for one in run.quality.events if one.kind != "left-out"]  # those are drawn as spans
     return Outline(
         signals=signals,
         duration=float(t[-1]),
@@ -262,10 +243,7 @@ def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...],
         positions=tuple(span(*piece) for piece in pieces),
         left_out=tuple(Span(one.reason, at(one.rows[0]), at(one.rows[1] + 1), one.rows) for one in left_out),
         moves=tuple(span(piece[0], *ends) for piece in pieces for ends in _moves(run, *piece[1:])),
-        findings=tuple(
-            Finding(one.kind, one.count, one.detail, None if one.first_row is None else at(one.first_row))
-            for one in findings
-        ),
+        findings=tuple((one, None if one.first_row is None else at(one.first_row)) for one in findings),
         phase_kept=len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment",
         thinned=thinned,
     )
@@ -288,23 +266,10 @@ def _moves(run: Run, first: int, last: int) -> Iterator[tuple[int, int]]:
 
 
 def picture(folder: Path, keys: Sequence[str], first: float, last: float, width: int) -> Array:
-    """Least and largest values of signals in a span of time.
+    """Least and largest values of signals in a span of time [s], about two rows per pixel of ``width``.
 
-    Parameters
-    ----------
-    folder:
-        The cache of the record.
-    keys:
-        The signals' keys.
-    first, last:
-        The span [s].
-    width:
-        Width of the picture [pixels]. About two rows per pixel are returned.
-
-    Returns
-    -------
-    Array
-        Rows of time, then least and largest value of each signal in its shown unit. A row of NaN separates stretches.
+    ``folder`` is the cache of the record. The rows are time, then least and largest value of each signal in its shown unit. A
+    row of NaN separates stretches.
     """
     outline = read_outline(folder)
     signals = {} if outline is None else {one.key: (at, one) for at, one in enumerate(outline.signals)}
@@ -312,19 +277,22 @@ def picture(folder: Path, keys: Sequence[str], first: float, last: float, width:
         raise ArgumentError(f"{keys!r}: there is no such signal", remedy="choose a signal of the page")
     if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
-    t = np.load(folder / "t.npy", mmap_mode="r")
+
+    def stored(name: str) -> Array:
+        array: Array = np.load(folder / f"{name}.npy", mmap_mode="r")
+        return array
+
+    t, breaks, shown = stored("t"), stored("breaks"), [signals[key][0] for key in keys]
     low = max(int(np.searchsorted(t, first)) - 1, 0)
     high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
-    shown = [signals[key][0] for key in keys]
     if high - low <= DRAWN:
         at = np.arange(low, high)
-        least = largest = np.load(folder / "columns.npy", mmap_mode="r")[shown, low:high]
+        least = largest = stored("columns")[shown, low:high]
     else:
-        blocks = np.load(folder / "blocks.npy", mmap_mode="r")
+        blocks = stored("blocks")
         part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
         at = np.asarray(blocks[part])
-        least, largest = np.load(folder / "extremes.npy", mmap_mode="r")[:, shown, part]
-    breaks = np.load(folder / "breaks.npy", mmap_mode="r")
+        least, largest = stored("extremes")[:, shown, part]
     after = np.searchsorted(at, breaks[(breaks > at[0]) & (breaks < high)])
     starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), after)
     columns = [t[at[starts]]]

@@ -1,4 +1,4 @@
-"""Certificate: whose entries they are, numbers that are used once, the files that the page offers."""
+"""Certificate: whose entries they are, numbers that are used once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import pytest
 from piga.workbench.folder import Folder, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.later import _items, _own, _pem_files
+from piga.workbench.pages.later import _items, _own
 from piga.workbench.security import Door
-from tests.certificate.certificate_data import key_pair
 
 
 @pytest.fixture
@@ -39,11 +38,3 @@ def test_a_number_is_used_once(bench: Bench, tmp_path: Path) -> None:
     assert _own(bench, None)["certificate.number"] != first
     (item,) = [one for one in _items(bench, {"certificate.number": first}) if one.key == "certificate.number"]
     assert "was used" in item.refusal
-
-
-def test_keys_and_certificates_are_told_apart(bench: Bench, tmp_path: Path) -> None:
-    key, certificate = key_pair(tmp_path, "lab")
-    (tmp_path / "both.pem").write_bytes(certificate.read_bytes() + key.read_bytes())
-    (tmp_path / "binary.cer").write_bytes(b"\x30\x82")
-    (tmp_path / "link.pem").symlink_to(key)
-    assert _pem_files(bench) == (["both.pem", "lab-key.pem"], ["binary.cer", "both.pem", "lab-cert.pem"])

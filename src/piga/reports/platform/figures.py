@@ -136,6 +136,8 @@ def cone_figure(run: PlatformRun, aligned: Alignment) -> Figure:
 
 
 _MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
+_DASHED = "C"
+"""Model whose curve is dashed: it often lies on that of model B, which must be seen."""
 _LABELS = {
     "east_velocity": ("east velocity line", "m/s", 1.0),
     "north_velocity": ("north velocity line", "m/s", 1.0),
@@ -223,7 +225,7 @@ def _channels(
             values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
             values = averaged(values - values.mean() if last else values, width)
             times = averaged(e.times[part] - origin, width) / unit
-            plot.line(times, values, model_name(model), _MODEL_ROLES[model])
+            plot.line(times, values, model_name(model), _MODEL_ROLES[model], dashed=model == _DASHED)
     return plot.caption(caption)
 
 
@@ -247,7 +249,7 @@ def position_figure(comparison: ModelComparisonRun) -> Figure:
     log = "log " if largest > 30.0 * least else ""
     plot = Plot("fig-position", "Horizontal position error", axis, f"{log}horizontal position error [m]")
     for m, peak in peaks.items():
-        plot.line(times / unit, peak, model_name(m), _MODEL_ROLES[m])
+        plot.line(times / unit, peak, model_name(m), _MODEL_ROLES[m], dashed=m == _DASHED)
     return plot.caption(
         "Distance between where the navigator says it is and where it is; largest of 84 minutes."
     )
@@ -268,7 +270,8 @@ def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
         keep = (frequency > 1.0 / (6.0 * HOUR)) & (frequency < 1.0 / 60.0)
         amplitude = np.maximum(amplitude[keep], 1e-9)
         low, high = min(low, float(np.percentile(amplitude, 10))), max(high, float(amplitude.max()))
-        plot.line(1.0 / frequency[keep] / MINUTE, amplitude, model_name(model), _MODEL_ROLES[model])
+        period = 1.0 / frequency[keep] / MINUTE
+        plot.line(period, amplitude, model_name(model), _MODEL_ROLES[model], dashed=model == _DASHED)
     if s.polar_rotation.rate > 0.0 or s.equatorial_rotation.rate > 0.0:
         rates = case_rates(s)
         labels = ("case rotation",) if len(rates) == 1 else ("polar case", "equatorial case")

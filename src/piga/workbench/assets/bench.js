@@ -32,10 +32,10 @@ const upload = () => {
     let answer = null;
     for (const file of files) {
       state.textContent = `${file.name} is copied …`;
-      const sent = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file, headers: { "hx-request": "true" } });
+      const sent = await fetch(`/upload?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
       if (!sent.ok) {
         const page = new DOMParser().parseFromString(await sent.text(), "text/html");
-        state.textContent = page.body.textContent.trim() || "The file was refused.";
+        state.textContent = page.querySelector(".message")?.textContent || "The file was refused.";
         return;
       }
       answer = await sent.json();
@@ -87,23 +87,16 @@ const watch = () => {
   setInterval(ask, 3000);
 };
 
-// A press counts if the same button is there when it is let go. No part of the page is renewed in between.
+// A press counts if the same button is there when it is let go: no part of the page asks for itself in between.
 const steady = () => {
-  let limit = 0;
-  const pressed = () => performance.now() < limit;
-  addEventListener("pointerdown", (event) => {
-    if (event.button === 0 && event.target.closest("button, a, label")) limit = performance.now() + 5000;
-  }, true);
-  ["pointerup", "pointercancel"].forEach((kind) => addEventListener(kind, () => { limit = 0; }, true));
-  const later = (act) => setTimeout(() => (pressed() ? later(act) : act()), 20);
-  const polls = (part) => (part.getAttribute("hx-trigger") || "").startsWith("every");  // it asks again soon
+  let pressed = false;
+  addEventListener("pointerdown", () => { pressed = true; }, true);
+  ["pointerup", "pointercancel"].forEach((kind) => addEventListener(kind, () => { setTimeout(() => { pressed = false; }, 20); }, true));
+  const later = (act) => setTimeout(() => (pressed ? later(act) : act()), 20);
   document.addEventListener("htmx:confirm", (event) => {
-    if (!pressed()) return;
+    if (!pressed) return;
     event.preventDefault();
-    if (!polls(event.detail.elt)) later(() => event.detail.issueRequest(true));
-  });
-  document.addEventListener("htmx:beforeSwap", ({ detail }) => {
-    if (pressed() && polls(detail.requestConfig.elt)) detail.shouldSwap = false;
+    later(() => event.detail.issueRequest(true));
   });
 };
 

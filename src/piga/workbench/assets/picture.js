@@ -7,46 +7,21 @@ const startPicture = () => {
   const record = JSON.parse(page.dataset.drawn);
   const duration = record.duration;
   const find = (id) => document.getElementById(id);
-  const roles = { "specific force": ["--role-x", "--role-y", "--role-z"], "base rate": ["--role-x", "--role-y", "--role-z"] };
   let shown = [0, duration];
   let wanted = 0;
   let marked = null;
-  const groups = new Map();
-  for (const signal of record.signals) groups.set(signal.group, [...(groups.get(signal.group) || []), signal]);
+  const pictures = [...page.querySelectorAll("figure")].map((figure) => ({
+    figure, place: figure.querySelector(".plot"), plot: null,
+    signals: [...figure.querySelectorAll(".key")].map((name) => ({ ...name.dataset, title: name.textContent, colour: () => getComputedStyle(name).getPropertyValue("--key").trim() })),
+  }));
 
-  const pictures = [...groups].map(([group, signals]) => {
-    const figure = document.createElement("figure");
-    figure.className = "signal";
-    const caption = document.createElement("figcaption");
-    const colours = roles[group] || ["--role-after"];
-    signals.forEach((signal, index) => {
-      const name = document.createElement("span");
-      name.className = "key";
-      name.style.setProperty("--key", `var(${colours[index % 3]})`);
-      name.textContent = signal.title;
-      caption.append(name);
-    });
-    const unit = document.createElement("span");
-    unit.className = "soft";
-    unit.textContent = signals[0].unit;
-    caption.append(unit);
-    const place = document.createElement("div");
-    place.className = "plot";
-    place.setAttribute("role", "img");
-    place.setAttribute("aria-label", `${signals.map((one) => one.title).join(", ")} against time`);
-    figure.append(caption, place);
-    page.append(figure);
-    return { figure, place, signals, colours, plot: null };
-  });
-
-  const at = (time) => record.positions.find((one) => one.first <= time && time <= one.last);
   const readout = (u) => {
-    const time = u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null;
-    if (time === null) return;
-    const position = at(time);
-    const values = pictures.flatMap((picture) => picture.signals.map((signal, index) => {
-      const found = picture.plot && picture.plot.data[1 + 2 * index] ? picture.plot.data[1 + 2 * index][picture.plot.valToIdx(time)] : null;
-      return found === null || found === undefined ? "" : `${signal.title} ${found.toPrecision(7).replace("-", "\u2212")} ${signal.unit}`;
+    if (u.cursor.left < 0) return;
+    const time = u.posToVal(u.cursor.left, "x");
+    const position = record.positions.find((one) => one.first <= time && time <= one.last);
+    const values = pictures.flatMap(({ plot, signals }) => signals.map((one, index) => {
+      const value = plot?.data[1 + 2 * index]?.[plot.valToIdx(time)] ?? null;
+      return value === null ? "" : `${one.title} ${value.toPrecision(7).replace("-", "\u2212")} ${one.unit}`;
     }));
     find("readout").textContent = [`${time.toFixed(3)} s`, position ? `position ${position.name}` : "between positions", ...values].filter(Boolean).join(" · ");
   };
@@ -57,7 +32,6 @@ const startPicture = () => {
     if (right < u.bbox.left || left > u.bbox.left + u.bbox.width) return;
     u.ctx.fillStyle = fill;
     u.ctx.fillRect(left, u.bbox.top, Math.max(right - left, 2), u.bbox.height);
-    if (!label) return;
     u.ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     const room = next ? u.valToPos(next.first, "x", true) - left : right - left; // a name may stand over the move after it
     if (u.ctx.measureText(label).width > room - 2) return;
@@ -86,15 +60,10 @@ const startPicture = () => {
       picture.plot.setScale("x", { min: shown[0], max: shown[1] });
       return;
     }
-    const series = [{}];
-    const between = [];
-    picture.signals.forEach((signal, index) => {
-      const stroke = () => colour(picture.colours[index % 3]);
-      for (let one = 0; one < 2; one += 1) series.push({ stroke, width: 1.25, points: { show: false } });
-      between.push({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${stroke()} 35%, transparent)` });
-    });
+    const lines = picture.signals.flatMap((one) => [0, 1].map(() => ({ stroke: one.colour, width: 1.25, points: { show: false } })));
+    const between = picture.signals.map((one, index) => ({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${one.colour()} 35%, transparent)` }));
     picture.plot = new uPlot({
-      width: picture.place.clientWidth, height: 200, series, bands: between,
+      width: picture.place.clientWidth, height: 200, series: [{}, ...lines], bands: between,
       scales: { x: { time: false, auto: false, min: shown[0], max: shown[1] } },
       axes: [{ ...axisStyle(), label: "time since the first sample [s]", labelSize: 22, size: 40 }, { ...axisStyle(), label: picture.signals[0].unit, labelSize: 22, size: 70 }],
       legend: { show: false },
@@ -113,21 +82,19 @@ const startPicture = () => {
 
   const load = async (picture, turn) => {
     const width = Math.min(Math.max(200, Math.round(picture.place.clientWidth * devicePixelRatio)), 4096);
-    const keys = picture.signals.map((one) => one.key).join(",");
+    const keys = picture.signals.map((one) => one.signal).join(",");
     const answer = await fetch(`${page.dataset.source}?keys=${keys}&from=${shown[0]}&to=${shown[1]}&width=${width}`).catch(() => null);
-    if (answer && answer.status === 204 && page.isConnected && turn === wanted) {  // the record was changed: it is read again
+    if (!answer?.ok || turn !== wanted) return;
+    if (answer.status === 204) {  // the record was changed: it is read again
       wanted += 1;
-      htmx.ajax("GET", page.dataset.again, { target: "#picture", swap: "outerHTML" });
+      htmx.trigger("#picture", "ended");
+      return;
     }
-    if (!answer || !answer.ok || turn !== wanted) return;
     const columns = Number(answer.headers.get("x-columns"));
     const values = new Float64Array(await answer.arrayBuffer());
     if (turn !== wanted) return;
-    const data = Array.from({ length: columns }, (unused, column) => Array.from({ length: values.length / columns }, (none, row) => {
-      const value = values[row * columns + column];
-      return Number.isNaN(value) ? null : value;
-    }));
-    draw(picture, data);
+    const cell = (at) => (Number.isNaN(values[at]) ? null : values[at]);
+    draw(picture, Array.from({ length: columns }, (_, column) => Array.from({ length: values.length / columns }, (none, row) => cell(row * columns + column))));
     picture.figure.dataset.points = String(values.length / columns);
   };
 
@@ -137,13 +104,12 @@ const startPicture = () => {
     shown = [from, from + size];
     wanted += 1;
     const turn = wanted;
-    page.dataset.shown = `${from.toPrecision(6)} to ${(from + size).toPrecision(6)}`;
     return Promise.all(pictures.map((picture) => load(picture, turn)));
   };
 
   const form = find("leave-out");
   const marking = () => find("mark").getAttribute("aria-pressed") === "true";
-  const redraw = () => pictures.forEach((picture) => picture.plot && picture.plot.redraw());
+  const redraw = () => pictures.forEach((picture) => picture.plot?.redraw());
   const mark = (first, last) => {
     form.elements.from.value = first.toFixed(4);
     form.elements.to.value = last.toFixed(4);
@@ -167,7 +133,7 @@ const startPicture = () => {
   };
   document.querySelectorAll("[data-move]").forEach((button) => button.addEventListener("click", () => show(...moves[button.dataset.move](...shown))));
   document.querySelectorAll(".go").forEach((button) => button.addEventListener("click", () => show(Number(button.dataset.time) - duration / 100, Number(button.dataset.time) + duration / 100)));
-  new ResizeObserver(() => pictures.forEach((picture) => picture.plot && picture.plot.setSize({ width: picture.place.clientWidth, height: 200 }))).observe(page);
+  new ResizeObserver(() => pictures.forEach((picture) => picture.plot?.setSize({ width: picture.place.clientWidth, height: 200 }))).observe(page);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   show(0, duration);
 };

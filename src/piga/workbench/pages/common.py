@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, quote
+from urllib.parse import parse_qsl, quote
 
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -26,9 +27,8 @@ from piga.workbench.folder import ChangedError, Folder, History, OutsideError
 from piga.workbench.jobs import BusyError, Jobs
 from piga.workbench.security import REPORT_POLICY, Door
 
-_MOST_FORM = 2 << 20
-"""Largest form [bytes]."""
-_MOST_FIELDS = 2000
+_MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
+"""Largest form [bytes], and most of its fields."""
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -36,7 +36,12 @@ class TooLargeError(ArgumentError):
     """More was sent than is taken."""
 
 
-_STATUSES: dict[type[Exception], int] = {OutsideError: 404, BusyError: 429, TooLargeError: 413}
+_STATUSES: dict[type[Exception], int] = {
+    OutsideError: 404,
+    BusyError: 429,
+    TooLargeError: 413,
+    ChangedError: 409,
+}
 """Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
@@ -62,7 +67,14 @@ def bench_of(request: Request) -> Bench:
 
 def _moment(seconds: float) -> str:
     """A time in the zone of this machine."""
-    return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
+    with suppress(OSError, OverflowError, ValueError):
+        return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
+    return ""
+
+
+def sentence(words: str) -> str:
+    """Words with a capital at their begin."""
+    return words[:1].upper() + words[1:]
 
 
 @lru_cache(maxsize=1)
@@ -74,19 +86,10 @@ def _environment() -> Any:
         loader=jinja2.PackageLoader("piga.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    made.filters |= {
-        "unit": pretty_unit,
-        "count": count,
-        "number": lambda value, digits=4: significant(value, digits),
-    }
-    made.filters |= {"moment": _moment, "path": lambda name: quote(name, safe="/"), "sentence": sentence}
+    made.filters |= {"unit": pretty_unit, "count": count, "moment": _moment, "sentence": sentence}
+    made.filters |= {"number": lambda value, digits=4: significant(value, digits), "path": quote}
     made.globals |= {"rounded": rounded, "version": __version__}
     return made
-
-
-def sentence(words: str) -> str:
-    """Words with a capital at their begin."""
-    return words[:1].upper() + words[1:]
 
 
 def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
@@ -96,30 +99,17 @@ def render(request: Request, template: str, code: int = 200, **values: Any) -> R
     return HTMLResponse(_environment().get_template(template).render(shared | values), status_code=code)
 
 
-def is_part(request: Request) -> bool:
-    """True if a page asks for a part of itself."""
-    return "hx-request" in request.headers
+def redirect(to: str) -> Response:
+    """Go to another page."""
+    return RedirectResponse(to, status_code=303)
 
 
-def redirect(request: Request, to: str) -> Response:
-    """Go to another page, with or without scripts in the browser."""
-    return Response(headers={"hx-redirect": to}) if is_part(request) else RedirectResponse(to, status_code=303)
-
-
-def start(
-    request: Request,
-    command: Sequence[str],
-    title: str,
-    subject: str,
-    result: str = "",
-    reads: Sequence[Path] = (),
-) -> Response:
+def start(request: Request, command: Sequence[str], title: str, subject: str, result: str = "") -> Response:
     """Start a job and go to its page."""
     bench = bench_of(request)
     if result:
         bench.folder.path(result)  # nothing is written through a link
-    job = bench.jobs.start(command, title, subject, result, reads)
-    return redirect(request, f"/jobs/{job.key}")
+    return redirect(f"/jobs/{bench.jobs.start(command, title, subject, result).key}")
 
 
 def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
@@ -133,14 +123,8 @@ def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
     return Response(raw, media_type="application/octet-stream", headers=headers)
 
 
-# --- errors ---------------------------------------------------------------------------------------
-
-
 def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy. What a page typed is in the browser's Back."""
-    if isinstance(error, ChangedError):
-        again = request.headers.get("referer", "/")
-        return render(request, "changed.html.jinja", 409, error=error, again=again)
     status = next((code for kind, code in _STATUSES.items() if isinstance(error, kind)), 422)
     text, _, remedy = str(error).partition("\n  remedy: ")
     if isinstance(error, HTTPException):
@@ -150,19 +134,19 @@ def error_page(request: Request, error: Exception) -> Response:
         text = f"{error.filename or 'a file'}: {error.strerror or error}"
     elif not isinstance(error, PigaError):
         status, text = 500, "This is an error of the bench. The terminal of piga ui shows more."
-    part = "message.html.jinja" if is_part(request) else "error.html.jinja"
-    return render(request, part, status, text=text, remedy=remedy)
-
-
-def in_line(error: PigaError) -> str:
-    """An error and its remedy beside a field."""
-    return ". ".join(sentence(words) for words in (error.message, error.remedy) if words) + "."
+    changed = error.lines if isinstance(error, ChangedError) else []
+    again = request.headers.get("referer", "/")
+    page = render(request, "error.html.jinja", status, text=text, remedy=remedy, changed=changed, again=again)
+    page.headers.update(
+        {"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"}
+    )  # of a part, too
+    return page
 
 
 # --- forms ----------------------------------------------------------------------------------------
 
-Sent = dict[str, list[str]]
-"""The fields of a sent form, each with its values."""
+Sent = dict[str, str]
+"""The fields of a sent form."""
 
 
 def posted(work: Callable[[Request, Sent], Response]) -> Callable[[Request], Awaitable[Response]]:
@@ -175,20 +159,26 @@ def posted(work: Callable[[Request, Sent], Response]) -> Callable[[Request], Awa
             if len(body) > _MOST_FORM:
                 raise ArgumentError("the form is too large", remedy=f"send at most {_MOST_FORM} bytes")
         try:
-            sent = parse_qs(
+            fields = parse_qsl(
                 body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=_MOST_FIELDS,
                 errors="strict",
             )  # fmt: skip
         except ValueError:
             raise ArgumentError("the form cannot be read", remedy="reload the page") from None
-        return await run_in_threadpool(work, request, sent)
+        return await run_in_threadpool(work, request, dict(fields))
 
     return handler
 
 
-def only(sent: Mapping[str, list[str]], name: str, default: str = "") -> str:
-    """The value of a field that is sent once."""
-    return sent.get(name, [default])[-1]
+def form(address: str, work: Callable[[Request, Sent], Response]) -> list[Route]:
+    """Routes of a page with a form: ``work`` gets no fields when the page is opened."""
+    opened = Route(address, lambda request: work(request, {}), methods=["GET"])
+    return [opened, Route(address, posted(work), methods=["POST"])]
+
+
+def in_line(error: PigaError) -> str:
+    """An error and its remedy beside a field."""
+    return ". ".join(sentence(words) for words in (error.message, error.remedy) if words) + "."
 
 
 @dataclass(frozen=True)
@@ -222,18 +212,12 @@ class Field:
     rows: int = 0
     needed: bool = False
 
-    @property
-    def group(self) -> str:
-        """Table of an entry ``table.key``."""
-        return self.key.partition(".")[0]
-
     def with_sent(self, sent: Sent, prefix: str = "") -> Field:
         """The field with what was typed, and why it is refused."""
-        made = replace(
-            self, typed=only(sent, prefix + self.key, self.typed).strip(), unit=only(sent, f"u:{self.key}")
-        )
+        typed = sent.get(prefix + self.key, self.typed).strip()
+        made = replace(self, typed=typed, unit=sent.get(f"u:{self.key}", ""))
         try:
-            if not made.typed and self.needed:
+            if not typed and self.needed:
                 raise ArgumentError("this is needed", remedy=f"e.g. {self.example}")
             _ = made.value
         except PigaError as error:

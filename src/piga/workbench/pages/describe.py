@@ -12,40 +12,28 @@ from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Route
 
 from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
-from piga.describe.columns import TOLD, UNITS, WORDS
-from piga.describe.draft import QUESTIONS
+from piga.describe.columns import UNITS, WORDS
+from piga.describe.draft import Question
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
 from piga.reports.render.numbers import significant
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import (
-    Field,
-    Sent,
-    bench_of,
-    in_line,
-    is_part,
-    only,
-    posted,
-    redirect,
-    render,
-)
+from piga.workbench.pages.common import Field, Sent, bench_of, form, in_line, redirect, render
 from piga.workbench.pages.record import left
 
 _ROWS = 6
 """Rows of the preview."""
-_UNITS = {
-    "instrument.scale_factor": ("rad/s/g", ("rad/s/g", "deg/s/g", "rev/s/g", "deg/h/g")),
-    "data.sample_rate": ("Hz", ("Hz", "kHz")),
-    "stand.latitude": ("deg", ("deg", "rad")),
-    "stand.height": ("m", ("m", "km")),
-    "stand.radius": ("m", ("m", "cm", "mm")),
-    "instrument.counts_per_revolution": ("1", ()),
+_MENUS = {
+    "rad/s/g": ("rad/s/g", "deg/s/g", "rev/s/g", "deg/h/g"),
+    "Hz": ("Hz", "kHz"),
+    "deg": ("deg", "rad"),
+    "m": ("m", "km", "cm", "mm"),
+    "1": (),
 }
-"""A unit of the kind that a question asks for, and the units of its menu."""
+"""Units of the menu of a question, by the unit of its example."""
 _AXES = ("force", "base-rate")
 _TAKEN_OVER = ("instrument", "stand", "uncertainty")
 """Tables that an earlier run file can give."""
@@ -67,73 +55,79 @@ class _Sheet:
 
 
 def _roles() -> list[tuple[str, str]]:
-    """The choices of a column's menu: a value and its words."""
+    """The choices of a column's menu: a value as ``piga init --column`` takes it, and its words."""
     choices = []
     for kind, words in WORDS.items():
-        axes = [(f"{kind}:{i}", f"{words} {'XYZ'[i]}0") for i in range(3)]
+        axes = [(f"{kind} {axis}", f"{words} {axis.upper()}0") for axis in "xyz"]
         choices += axes if kind in _AXES else [(kind, words)]
     return choices
 
 
 def _role(column: ColumnGuess) -> str:
     """The choice of a column."""
-    return f"{column.kind}:{column.axis}" if column.kind in _AXES and column.axis is not None else column.kind
+    return column.kind if column.axis is None else f"{column.kind} {'xyz'[column.axis]}"
 
 
-def _corrected(column: Any, index: int, sent: Sent) -> Any:
-    """The guess of a column with what was chosen at the column."""
-    chosen, unit = only(sent, f"role:{index}", _role(column)), only(sent, f"unit:{index}", column.unit)
-    kind, _, axis = chosen.partition(":")
-    if kind in WORDS and chosen != _role(column):
-        column = replace(column, kind=kind, axis=int(axis) if axis in ("0", "1", "2") else None, reason=TOLD)
-        unit = unit if unit in UNITS.get(kind, ()) else ""
-    return replace(column, unit=unit)
+def _told(columns: tuple[ColumnGuess, ...], sent: Sent) -> dict[str, str]:
+    """What was corrected at the columns, by name."""
+    told = {}
+    for index, column in enumerate(columns):
+        role, unit = sent.get(f"role:{index}", _role(column)), sent.get(f"unit:{index}", column.unit)
+        if (role, unit) != (_role(column), column.unit):
+            fits = unit in UNITS.get(role.partition(" ")[0], ())
+            told[column.name] = f"{role} [{unit}]" if fits else role
+    return told
 
 
 def sheet(folder: Folder, name: str, sent: Sent) -> _Sheet:
     """Describe a log with the corrections and answers of a form."""
     log = folder.file(name)
-    plain = describe_log(log)
-    columns = (_corrected(column, index, sent) for index, column in enumerate(plain.columns))
-    described = replace(plain, columns=tuple(columns))
-    settings = _taken(folder, only(sent, "take"))
-    asked: dict[str, Field] = {}
-    for key in [one.removeprefix("q:") for one in sent if one.startswith("q:")]:
-        field = asked[key] = _question(key).with_sent(sent, "q:")
-        if field.typed and not field.refusal:
-            try:
-                value = _value(key, field.value)
-                draft_run_file(described, settings | {key: value}, folder=log.parent)
-                settings[key] = value
-            except PigaError as error:
-                asked[key] = replace(field, refusal=in_line(error))
-    message = ""
+    described, fields, message = describe_log(log), dict[str, Field](), ""
+    draft = draft_run_file(described, {}, folder=log.parent)
     try:
-        draft = draft_run_file(described, settings, folder=log.parent)
+        told = _told(described.columns, sent)
+        described = describe_log(log, told) if told else described
+        draft = _answered(described, _taken(folder, sent.get("take", "")), sent, fields)
         read_run_file(log.with_suffix(".toml"), draft.completed().text().encode())
     except PigaError as error:
-        message = str(error)
-        draft = draft_run_file(plain, {}, folder=log.parent)
-    questions = [one.key for one in draft.open if one.key in _UNITS]
-    if "stand.latitude" in (*asked, *questions):
-        questions += [one.key for one in draft.optional]
-    fields = [asked.get(key) or _question(key) for key in dict.fromkeys((*asked, *questions))]
-    return _Sheet(described, draft, fields, message)
+        message = str(error).removeprefix("--column ")
+    return _Sheet(described, draft, list(fields.values()), message)
 
 
-def _question(key: str) -> Field:
-    like, units = _UNITS.get(key, ("1", ()))
-    known = QUESTIONS.get(key)
-    words, example = (known.words, known.example) if known else (key, "")
-    return Field(key, words, example, like=like, units=units)
+def _answered(
+    described: LogDescription, settings: dict[str, Any], sent: Sent, fields: dict[str, Field]
+) -> RunFileDraft:
+    """The draft with the answers of a form. ``fields`` takes the questions; an answer may lead to another one."""
+    while True:
+        draft = draft_run_file(described, settings)
+        asked = [one for one in (*draft.open, *draft.optional) if _is_field(one) and one.key not in fields]
+        if not asked:
+            return draft
+        for question in asked:
+            key, like = question.key, question.example.partition(" ")[2] or "1"
+            units = _MENUS.get(like, (like,))
+            field = Field(key, question.words, question.example, like=like, units=units).with_sent(sent, "q:")
+            try:
+                value = _value(question, field.value) if field.typed and not field.refusal else None
+                if value is not None:
+                    draft_run_file(described, settings | {key: value})
+                    settings[key] = value
+            except PigaError as error:
+                field = replace(field, refusal=in_line(error))
+            fields[key] = field
 
 
-def _value(key: str, text: str) -> Any:
+def _is_field(question: Question) -> bool:
+    """False if a question is answered at the columns."""
+    return not question.example.startswith("{")
+
+
+def _value(question: Question, text: str) -> Any:
     """A value as the run file has it: a whole number for counts, else text."""
-    if key != "instrument.counts_per_revolution":
+    if not question.example.isdigit():
         return text
     if not text.isdigit():
-        raise ArgumentError(f"{text!r} is not a whole number", remedy="e.g. 72000")
+        raise ArgumentError(f"{text!r} is not a whole number", remedy=f"e.g. {question.example}")
     return int(text)
 
 
@@ -146,25 +140,6 @@ def _taken(folder: Folder, name: str) -> dict[str, Any]:
         for table, part in tables.items()
         for key, value in (part.items() if isinstance(part, dict) else ())
     }
-
-
-def _page(request: Request, sent: Sent, message: str = "", code: int = 200) -> Response:
-    bench, name = bench_of(request), request.path_params["name"]
-    values = left(bench, name)
-    try:
-        made = sheet(bench.folder, name, sent)
-    except PigaError as error:
-        if not bench.folder.path(name).is_file():
-            raise
-        return render(request, "log-faulty.html.jinja", 422, **values, message=str(error))
-    return render(
-        request, "log-part.html.jinja" if is_part(request) else "log.html.jinja", code, **values, sheet=made,
-        roles=_roles(), role=_role, column_units=UNITS, rows=_preview(made),
-        others=[entry.name for entry in bench.folder.entries() if entry.state in ("ready", "kept")],
-        message=message or made.message, took=only(sent, "take"),
-        open_columns=[one for one in made.draft.open if one.key not in _UNITS],
-        notes=[line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],
-    )  # fmt: skip
 
 
 def _preview(made: _Sheet) -> list[list[str]]:
@@ -181,28 +156,30 @@ def _preview(made: _Sheet) -> list[list[str]]:
     return [list(row) for row in zip(*columns, strict=True) if any(row)]
 
 
-def _show(request: Request) -> Response:
-    """The page of a log."""
-    return _page(request, {})
-
-
-def _change(request: Request, sent: Sent) -> Response:
-    """Draw the page anew with the corrections and answers, or write the run file."""
+def _page(request: Request, sent: Sent) -> Response:
+    """The page with the corrections and answers; or, if nothing is open, the run file is written."""
     bench, name = bench_of(request), request.path_params["name"]
-    if only(sent, "do") != "write":
-        return _page(request, sent)
-    made = sheet(bench.folder, name, sent)
-    if not made.complete:
-        return _page(request, sent, code=422)
     log = bench.folder.file(name)
-    target = _free(bench.folder, log)
+    made, fault = None, ""
     try:
-        try_run_file(made.draft, target)
+        made = sheet(bench.folder, name, sent)
+        if sent.get("do") == "write" and made.complete:
+            target = _free(bench.folder, log)
+            try_run_file(made.draft, target)
+            bench.history.write(bench.folder.name(target), "", made.draft.text(), f"describe {log.name}")
+            return redirect(f"/record/{quote(bench.folder.name(target))}")
     except PigaError as error:
-        return _page(request, sent, str(error), 422)
-    written = bench.folder.name(target)
-    bench.history.write(written, "", made.draft.text(), f"describe {log.name}")
-    return redirect(request, f"/record/{quote(written)}")
+        fault = str(error)
+    code = 422 if fault or sent.get("do") == "write" else 200
+    values = left(bench, name) | {"sheet": made, "message": fault or (made.message if made else "")}
+    if made is not None:
+        values |= {
+            "roles": _roles(), "role": _role, "column_units": UNITS, "rows": _preview(made), "took": sent.get("take", ""),
+            "others": [entry.name for entry in bench.folder.entries() if entry.state in ("ready", "kept")],
+            "open_columns": [one for one in made.draft.open if not _is_field(one)],
+            "notes": [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],
+        }  # fmt: skip
+    return render(request, "log.html.jinja", code, **values)
 
 
 def _free(folder: Folder, log: Path) -> Path:
@@ -213,7 +190,4 @@ def _free(folder: Folder, log: Path) -> Path:
     return next(path for path in paths if not path.exists())
 
 
-ROUTES = [
-    Route("/log/{name:path}", _show, methods=["GET"]),
-    Route("/log/{name:path}", posted(_change), methods=["POST"]),
-]
+ROUTES = form("/log/{name:path}", _page)

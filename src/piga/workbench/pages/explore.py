@@ -23,11 +23,12 @@ from piga.instrument import (
 )
 from piga.reports.render.numbers import significant
 from piga.units import G0
-from piga.workbench.pages.common import is_part, render, start
+from piga.workbench.pages.common import render
 
 _POINTS = 601
 _DEG = 180.0 / math.pi
 _Forces = tuple[float, float, float]
+_Figure = dict[str, Any]
 
 
 class _Slider(NamedTuple):
@@ -52,7 +53,7 @@ _SLIDERS = (
 
 
 def _show(request: Request) -> Response:
-    """The page; after a moved slider the figures and numbers alone."""
+    """Figures and numbers for the values of the sliders."""
     values = {}
     for slider in _SLIDERS:
         try:
@@ -66,79 +67,70 @@ def _show(request: Request) -> Response:
     inst = Instrument(scale_factor=f"{values['K']} rad/s/g", beta=f"{values['beta']} arcsec")
     forces = (values["a_x"] * G0, values["a_t"] * G0, 0.0)
     figures = [_portrait(inst, forces), _rates(inst, forces), _motion(inst, forces, values["time"])]
-    part = "explore-part.html.jinja" if is_part(request) else "explore.html.jinja"
     drawn = [(figure, json.dumps(figure)) for figure in figures]
-    return render(request, part, sliders=_SLIDERS, values=values, figures=drawn, numbers=_numbers(inst, forces))
+    numbers = _numbers(inst, forces)
+    return render(
+        request, "explore.html.jinja", sliders=_SLIDERS, values=values, figures=drawn, numbers=numbers
+    )
 
 
-def _numbers(inst: Instrument, forces: _Forces) -> list[tuple[str, str]]:
-    """Results of the library for these inputs, as label-value pairs."""
+def _numbers(inst: Instrument, forces: _Forces) -> dict[str, str]:
+    """Results of the library for these inputs."""
     name, (low, high) = regime(inst, *forces), np.array(dead_zone(inst, *forces[1:])) * 1e3 / G0
-    rows = [
-        ("regime", name),
-        ("locked zone of a_x", f"{significant(low, 4)} to {significant(high, 4)} mg" if high > low else "none"),
-        ("mean output rate", f"{significant(_DEG * float(mean_rate(inst, *forces)), 4)} deg/s"),
-        ("rate without cross-coupling", f"{significant(_DEG * inst.scale_factor * forces[0], 4)} deg/s"),
-    ]
+    rows = {
+        "regime": name,
+        "locked zone of a_x": f"{significant(low, 4)} to {significant(high, 4)} mg" if high > low else "none",
+        "mean output rate": f"{significant(_DEG * float(mean_rate(inst, *forces)), 4)} deg/s",
+        "rate without cross-coupling": f"{significant(_DEG * inst.scale_factor * forces[0], 4)} deg/s",
+    }
     if name == "running":
-        rows.append(("one revolution", f"{significant(float(revolution_period(inst, *forces)), 4)} s"))
+        rows["one revolution"] = f"{significant(float(revolution_period(inst, *forces)), 4)} s"
     if name == "locked":
-        rows.append(("rest angle", f"{significant(_DEG * float(fixed_points(inst, *forces)[0]), 4)} deg"))
+        rows["rest angle"] = f"{significant(_DEG * float(fixed_points(inst, *forces)[0]), 4)} deg"
     return rows
 
 
 def _figure(
-    title: str,
-    caption: str,
-    labels: tuple[str, str],
-    x: Any,
-    curves: dict[str, Any],
-    **points: tuple[float, float],
-) -> dict[str, Any]:
-    """A figure as plain data: title, caption and labels of the axes; curves over x; points (x, y) at the nearest x."""
+    title: str, caption: str, labels: tuple[str, str], x: Any, curves: dict[str, Any], points: dict[str, Any]
+) -> _Figure:
+    """A figure as plain data: curves over x; points (x, y) at the nearest x."""
     series = [{"name": name, "values": np.asarray(y).tolist(), "point": False} for name, y in curves.items()]
     for name, (at, y) in points.items():
-        nearest = np.abs(x - at).argmin()
-        values = [y if index == nearest else None for index in range(_POINTS)]
-        series.append({"name": name.replace("_", " "), "values": values, "point": True})
+        values: list[float | None] = [None] * _POINTS
+        values[int(np.abs(x - at).argmin())] = y
+        series.append({"name": name, "values": values, "point": True})
     return {"title": title, "caption": caption, "x": x.tolist(), "labels": labels, "series": series}
 
 
-def _portrait(inst: Instrument, forces: _Forces) -> Any:
+def _portrait(inst: Instrument, forces: _Forces) -> _Figure:
     alpha = np.linspace(-math.pi, math.pi, _POINTS)
     rate = inst.scale_factor * (forces[0] + inst.tan_beta * forces[1] * np.sin(alpha))
-    points = {}
-    if regime(inst, *forces) == "locked":
-        rests = zip(("stable_rest", "unstable_rest"), fixed_points(inst, *forces), strict=True)
-        points = {name: (float(angle) * _DEG, 0.0) for name, angle in rests}
+    rests = fixed_points(inst, *forces) if regime(inst, *forces) == "locked" else ()
+    points = {
+        name: (float(at) * _DEG, 0.0) for name, at in zip(("stable rest", "unstable rest"), rests, strict=False)
+    }
     curves = {"rate": rate * _DEG, "at rest": np.zeros(_POINTS)}
     labels = ("output angle \u03b1 [deg]", "output rate [deg/s]")
     caption = "Where the curve crosses zero the gimbal can rest."
-    return _figure("Rate against angle", caption, labels, alpha * _DEG, curves, **points)
+    return _figure("Rate against angle", caption, labels, alpha * _DEG, curves, points)
 
 
-def _rates(inst: Instrument, forces: _Forces) -> Any:
+def _rates(inst: Instrument, forces: _Forces) -> _Figure:
     reach = max(3.0 * float(dead_zone(inst, *forces[1:])[1]), 1.3 * abs(forces[0]), 1e-3 * G0)
     grid = np.linspace(-reach, reach, _POINTS)
     rate = mean_rate(inst, grid, np.full(_POINTS, forces[1]), np.full(_POINTS, forces[2]))
     curves = {"with cross-coupling": _DEG * rate, "without": _DEG * inst.scale_factor * grid}
-    now = (forces[0] * 1e3 / G0, _DEG * float(mean_rate(inst, *forces)))
+    now = {"now": (forces[0] * 1e3 / G0, _DEG * float(mean_rate(inst, *forces)))}
     labels, caption = ("a_x [mg]", "mean output rate [deg/s]"), "Inside the locked zone the mean rate is zero."
-    return _figure("Mean rate against input", caption, labels, grid * 1e3 / G0, curves, now=now)
+    return _figure("Mean rate against input", caption, labels, grid * 1e3 / G0, curves, now)
 
 
-def _motion(inst: Instrument, forces: _Forces, time: float) -> Any:
+def _motion(inst: Instrument, forces: _Forces, time: float) -> _Figure:
     t, turn = np.linspace(0.0, time, _POINTS), 2.0 * math.pi
     alpha, _ = closed_form(inst, t, *forces)
     curves = {"with cross-coupling": alpha / turn, "without": inst.scale_factor * forces[0] * t / turn}
     labels, caption = ("time [s]", "output angle \u03b1 [rev]"), "The exact closed form, from \u03b1 = 0."
-    return _figure("Output angle against time", caption, labels, t, curves)
+    return _figure("Output angle against time", caption, labels, t, curves, {})
 
 
-def _reproduce(request: Request) -> Response:
-    """Compute every published case and compare."""
-    command = ("reproduce", "--out", "reproduction", "--force")
-    return start(request, command, "Reproduce", "publications", "reproduction")
-
-
-ROUTES = [Route("/explore", _show), Route("/explore/reproduce", _reproduce, methods=["POST"])]
+ROUTES = [Route("/explore", _show)]
