@@ -117,16 +117,47 @@ def limited(value: float, first: float, second: float) -> float:
     )
 
 
-@exact
-def curvature(x: Array, h: Array, i: int) -> float:
-    """Second derivative from sample ``i`` of ``x`` and its neighbours; ``h[i]`` is the interval after sample ``i``."""
-    return 2.0 * ((x[i + 1] - x[i]) / h[i] - (x[i] - x[i - 1]) / h[i - 1]) / (h[i - 1] + h[i])
-
-
 @inline
 def bow_of(h: float, curved: float) -> float:
     """Mean over an interval ``h`` less the mean of both ends, for a second derivative ``curved``."""
     return -h * h * (1.0 / 12.0) * curved
+
+
+@inline
+def weigh_neighbours(h: Array, before: Array, after: Array, share: Array) -> None:
+    """Weights of second derivatives, (n,) each, from the intervals ``h`` (n,) [s].
+
+    At the beginning of interval i the second derivative is ``after[i]`` times the change over it less ``before[i]`` times that
+    over the interval before. The middle of the interval lies ``share[i]`` of the way to that at its end.
+    """
+    for i in range(h.size - 1):  # indices that only add: the compiler then knows that none is negative
+        h0, h1 = h[i], h[i + 1]
+        per = 2.0 / (h0 * h1 * (h0 + h1))
+        before[i + 1], after[i + 1] = h1 * per, h0 * per
+    for i in range(h.size - 2):
+        h0, h1, h2 = h[i], h[i + 1], h[i + 2]
+        share[i + 1] = (h1 + 2.0 * h0) / (2.0 * (h0 + h1 + h2))
+
+
+@inline
+def second_derivatives(x: Array, before: Array, after: Array, bend: Array) -> None:
+    """Second derivatives ``bend`` (n,) at the beginnings of the intervals but the first, from n + 1 samples of ``x``."""
+    for i in range(x.size - 2):
+        bend[i + 1] = after[i + 1] * (x[i + 2] - x[i + 1]) - before[i + 1] * (x[i + 1] - x[i])
+
+
+@inline
+def bow_inside(h: float, share: float, first: float, second: float) -> float:
+    """Bow in an interval ``h`` with neighbours on both sides, from the second derivatives at its ends; exact for a cubic."""
+    return bow_of(h, limited(first + share * (second - first), first, second))
+
+
+@inline
+def bow_at_end(h: float, h_near: float, h_far: float, near: float, far: float) -> float:
+    """Bow in an interval ``h`` at an end of a stretch, from the second derivatives at the next two samples."""
+    return bow_of(
+        h, limited(near + (near - far) * (h + 2.0 * h_near) / (2.0 * (h + h_near + h_far)), near, far)
+    )
 
 
 LIMIT = 1.6e6

@@ -23,8 +23,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import LIMIT, bow_of, curvature, fast_sine_cosine, limited, sine_cosine
-from piga._kernels.jit import Array, exact, inline, kernel
+from piga._kernels.arithmetic import (
+    LIMIT,
+    bow_at_end,
+    bow_inside,
+    fast_sine_cosine,
+    second_derivatives,
+    sine_cosine,
+)
+from piga._kernels.jit import Array, inline, kernel
 from piga.terms import Factor
 
 NONE = np.empty(0)
@@ -271,47 +278,26 @@ def _turned_integral(
     return c * real + s * imaginary, c * imaginary - s * real
 
 
-@exact
-def smooth_bows(x: Array, h: Array, work: Array, out: Array) -> bool:
-    """Mean of a smooth input over each interval less that of both ends; True where one is not 0.
+@kernel
+def smooth_bows(x: Array, h: Array, before: Array, after: Array, share: Array, bend: Array, out: Array) -> None:
+    """Bow ``out`` (n,) of a smooth input (n + 1,) over each interval ``h`` (n,): its mean there less that of both ends.
 
-    ``-h^2/12 x''`` with the second derivative by the samples on both sides (exact for a cubic), at the ends of a stretch by
-    those on one side (:mod:`piga._kernels.arithmetic`).
-
-    Parameters
-    ----------
-    x, h, out:
-        (n + 1,) samples; (n,) intervals [s], 0 where samples do not belong together; (n,) results. n is at least 1.
-    work:
-        (n,) scratch space: the second derivative at the samples.
+    At the ends of a stretch (where h is 0) from the samples on one side; 0 where a stretch has less than four samples. Weights of
+    :func:`piga._kernels.arithmetic.weigh_neighbours`; ``bend`` (n,) is room.
     """
     n = h.size
-    for i in range(1, n):
-        joined = (h[i - 1] != 0.0) & (h[i] != 0.0)
-        work[i] = curvature(x, h, i) if joined else 0.0
-    for i in range(1, n - 1):
-        if (h[i - 1] != 0.0) & (h[i] != 0.0) & (h[i + 1] != 0.0):
-            share = (h[i] + 2.0 * h[i - 1]) / (2.0 * (h[i - 1] + h[i] + h[i + 1]))
-            out[i] = bow_of(h[i], limited(work[i] + share * (work[i + 1] - work[i]), work[i], work[i + 1]))
-        else:
-            out[i] = 0.0
-    bent = False
+    second_derivatives(x, before, after, bend)
     for i in range(n):
-        before, after = i > 0 and h[i - 1] != 0.0, i < n - 1 and h[i + 1] != 0.0
-        if not (before and after):
-            out[i] = 0.0
-            if h[i] != 0.0 and before and i > 1 and h[i - 2] != 0.0:
-                out[i] = bow_of(h[i], _carried_on(work[i - 1], work[i], h[i - 2], h[i - 1], h[i]))
-            elif h[i] != 0.0 and after and i < n - 2 and h[i + 2] != 0.0:
-                out[i] = bow_of(h[i], _carried_on(work[i + 2], work[i + 1], h[i + 2], h[i + 1], h[i]))
-        bent |= out[i] != 0.0
-    return bent
-
-
-@inline
-def _carried_on(far: float, near: float, h_far: float, h_near: float, h: float) -> float:
-    """Second derivative in an interval h at an end of a stretch, from those at the next two samples."""
-    return limited(near + (near - far) * (h + 2.0 * h_near) / (2.0 * (h + h_near + h_far)), near, far)
+        out[i] = 0.0
+        if h[i] == 0.0:
+            continue
+        preceded, followed = i > 0 and h[i - 1] != 0.0, i < n - 1 and h[i + 1] != 0.0
+        if preceded and followed:
+            out[i] = bow_inside(h[i], share[i], bend[i], bend[i + 1])
+        elif preceded and i > 1 and h[i - 2] != 0.0:
+            out[i] = bow_at_end(h[i], h[i - 1], h[i - 2], bend[i], bend[i - 1])
+        elif followed and i < n - 2 and h[i + 2] != 0.0:
+            out[i] = bow_at_end(h[i], h[i + 1], h[i + 2], bend[i + 1], bend[i + 2])
 
 
 def add_product_bows(

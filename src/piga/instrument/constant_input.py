@@ -19,26 +19,23 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels import arithmetic as dd
-from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motion_at, split_turns
+from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motions, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument
-from piga.instrument.regimes import effective_rates, require_finite
+from piga.instrument.regimes import effective_rates, float_array, require_finite
 from piga.results import Array
 
 
-def _exact_rates(
-    inst: Instrument, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
+def constant_motion(
+    inst: Instrument, t: ArrayLike, f: ArrayLike, base_rate: ArrayLike, *, onward: bool
 ) -> Array:
-    """``a``, ``y``, ``z`` [rad/s] as three double-doubles, shape (3, 2), from the float64 inputs."""
-    effective_rates(inst, a_x, a_Y, a_Z, base_rate)
-    omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
-    gains = ((1.0, 0.0), (inst.tan_beta, 0.0), (inst.tan_beta, 0.0))
-    rates = np.empty((3, 2))
-    for axis, force in enumerate((a_x, a_Y, a_Z)):
-        u = dd.add(dd.two_product(inst.scale_factor, float(force)), (-float(omega[axis]), 0.0))
-        rates[axis] = dd.multiply(u, gains[axis])
-    return rates
+    """Rows turns, rest [rad], rate [rad/s] (3, n) after times (n,) of constant input: :func:`piga._kernels.motion.step.constant_motions`."""
+    times, result = float_array("t", t), np.empty((3, np.size(t)))
+    inputs = float_array("f", f), float_array("base_rate", base_rate)
+    constant_motions(
+        times, *inputs, inst.scale_factor, inst.tan_beta, *split_turns(inst.alpha0), onward, result
+    )
+    return result
 
 
 def closed_form_turns(
@@ -59,9 +56,9 @@ def closed_form_turns(
     if times.size == 0:
         raise ArgumentError("t: empty", remedy="give at least one time")
     require_finite("t", times.ravel())
-    result = np.empty((3, times.size))
-    turns, rest = split_turns(inst.alpha0)
-    constant_motion_at(_exact_rates(inst, a_x, a_Y, a_Z, base_rate), times.ravel(), turns, rest, result)
+    effective_rates(inst, a_x, a_Y, a_Z, base_rate)  # checks the values
+    omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
+    result = constant_motion(inst, times.ravel(), [[a_x, a_Y, a_Z]], omega[None], onward=False)
     shaped = result.reshape((3, *times.shape))
     return shaped[0], shaped[1], shaped[2]
 

@@ -19,15 +19,15 @@ from numpy.typing import ArrayLike
 
 from piga._kernels.motion.samples import (
     PARAMETERS,
-    FleetInput,
     MotionSamples,
     propagate_many,
     propagate_samples,
     propagate_sensitivities,
 )
 from piga._kernels.motion.samples import propagate_increments as run_increments
-from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, segment_motion, split_turns
+from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, split_turns
 from piga.errors import ArgumentError
+from piga.instrument.constant_input import constant_motion
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.regimes import explain, float_array, require_finite, time_array
 from piga.results import Array, Result
@@ -341,10 +341,8 @@ def propagate_segments(
         raise ArgumentError(
             f"durations: {lengths[k]} s at index {k} is negative", remedy="use durations of zero or more"
         )
-    ends = np.empty((3, lengths.size))
-    turns, rest = split_turns(inst.alpha0)
-    segment_motion(lengths, force, omega, inst.scale_factor, inst.tan_beta, turns, rest, ends)
-    return ends[0] * TWO_PI_HIGH + (ends[0] * TWO_PI_LOW + ends[1]), ends[2]
+    turns, rest, rate = constant_motion(inst, lengths, force, omega, onward=True)
+    return turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest), rate
 
 
 SENSITIVITY_NAMES = ("scale_factor", "beta", "alpha0", "a_x", "a_Y", "a_Z")
@@ -455,47 +453,36 @@ def propagate_fleet(
     """
     if output not in ("angle", "rate"):
         raise ArgumentError(f"output: {output!r} is not 'angle' or 'rate'", remedy="use 'angle' or 'rate'")
-    times = time_array("t", t)
-    force = float_array("f", f)
-    omega = None if base_rate is None else float_array("base_rate", base_rate)
+    given = {"f": float_array("f", f)}
+    given |= {} if base_rate is None else {"base_rate": float_array("base_rate", base_rate)}
     fleet = [instruments] if isinstance(instruments, Instrument) else list(instruments)
-    counts = {"instruments": len(fleet)} if not isinstance(instruments, Instrument) else {}
-    counts |= {
-        name: len(a) for name, a in (("f", force), ("base_rate", omega)) if a is not None and a.ndim == 3
-    }
+    counts = {} if isinstance(instruments, Instrument) else {"instruments": len(fleet)}
+    counts |= {name: len(array) for name, array in given.items() if array.ndim == 3}
     m = max(counts.values(), default=1)
     if not fleet or any(count != m for count in counts.values()):
         raise ArgumentError(
             f"instruments and inputs: their numbers do not match: {counts}",
             remedy="give the same number of each, or one for all",
         )
-    if omega is not None and omega.shape == (3,):
-        omega = float_array("base_rate", np.broadcast_to(omega, (times.size, 3)))
+    fleet = fleet * m if len(fleet) < m else fleet
     motions = []
-    for i in range(m):
-        inst = fleet[i if len(fleet) > 1 else 0]
-        rates = omega[i] if omega is not None and omega.ndim == 3 else omega
+    for i, inst in enumerate(fleet):
+        own = {name: array[i] if array.ndim == 3 else array for name, array in given.items()}
         with _named(i):
-            motions.append(
-                _sampled_input(inst, times, force[i] if force.ndim == 3 else force, rates, between=between)
-            )
-    starts = np.array([fleet[i if len(fleet) > 1 else 0].alpha0 for i in range(m)])
-    states = np.array([_initial_state(alpha0) for alpha0 in starts])
-    result, status = np.empty((m, times.size)), np.empty(m)
-    inputs = FleetInput(
-        t=times,
-        f=force if force.ndim == 3 else force[None],
-        base_rate=_EMPTY_VECTORS[None] if omega is None else (omega if omega.ndim == 3 else omega[None]),
-        constants=np.array([(motion.K, motion.tan_beta) for motion in motions]),
-        smooth=between == "smooth",
-    )
+            motions.append(_sampled_input(inst, t, own["f"], own.get("base_rate"), between=between))
+    one = motions[0]
+    force = given["f"] if given["f"].ndim == 3 else one.f[None]
+    omega = given["base_rate"] if "base_rate" in counts else one.base_rate[None]
+    states = np.array([_initial_state(inst.alpha0) for inst in fleet])
+    constants = np.array([(motion.K, motion.tan_beta) for motion in motions])
+    result, status = np.empty((m, one.t.size)), np.empty(m)
     with np.errstate(all="ignore"):
-        propagate_many(inputs, states, output == "angle", result, status)
+        propagate_many(one.t, force, omega, constants, one.smooth, states, output == "angle", result, status)
     for i, motion in enumerate(motions):
         with _named(i):
             _require(motion, int(status[i]))
     if output == "angle":
-        result[:, 0] = starts
+        result[:, 0] = [inst.alpha0 for inst in fleet]
     return result
 
 

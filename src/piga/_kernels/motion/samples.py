@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from piga._kernels.arithmetic import bow_of, double_arctangent, limited
+from piga._kernels.arithmetic import (
+    bow_at_end,
+    bow_inside,
+    double_arctangent,
+    second_derivatives,
+    weigh_neighbours,
+)
 from piga._kernels.jit import Array, inline, kernel, parallel_kernel
 from piga._kernels.motion.step import (
     GOOD,
@@ -31,7 +37,7 @@ from piga._kernels.motion.step import (
 
 BLOCK = 256
 """Steps of a block. At its end the pair is brought to unit length: a small step lets it grow by less than ``exp(1/2)``."""
-ROWS, _ROOM = 20, BLOCK + 8
+ROWS, _ROOM = 19, BLOCK + 8
 prange: Any = numba.prange
 
 
@@ -55,13 +61,17 @@ class MotionSamples(NamedTuple):
     smooth: bool
 
 
-class Steps(NamedTuple):
-    """Steps of a block; each field (ROOM,).
+class Block(NamedTuple):
+    """A block of steps; each field (_ROOM,).
 
-    Increments ``A, Y, Z`` [rad]; matrices less the identity ``pp, pq, qp, qq``; ``turns`` and pair ``p, q`` at the beginning of
-    each step. ``size``: ``A^2 + Y^2 + Z^2`` [rad^2], infinite if time does not increase.
+    Effective rates ``a, y, z`` [rad/s] at the samples around it, or over its intervals. Increments ``A, Y, Z`` [rad] of the steps;
+    their matrices less the identity ``pp, pq, qp, qq``; ``size``: ``A^2 + Y^2 + Z^2`` [rad^2], infinite if time does not increase.
+    ``turns`` and pair ``p, q`` at the beginning of each step.
     """
 
+    a: Array
+    y: Array
+    z: Array
     A: Array
     Y: Array
     Z: Array
@@ -69,22 +79,16 @@ class Steps(NamedTuple):
     pq: Array
     qp: Array
     qq: Array
+    size: Array
     turns: Array
     p: Array
     q: Array
-    size: Array
 
 
-class Rates(NamedTuple):
-    """Effective rates ``a, y, z`` [rad/s] at the samples around a block, and what their second derivatives need; each (ROOM,).
+class Weights(NamedTuple):
+    """Intervals around a block [s] and the weights of their second derivatives (:func:`.arithmetic.weigh_neighbours`); room for these."""
 
-    At a sample the second derivative is ``after`` times the change to the next sample less ``before`` times that from the last one.
-    In the middle of the interval after it, it lies ``share`` of the way between those of both ends. ``bend``: room for one of them.
-    """
-
-    a: Array
-    y: Array
-    z: Array
+    h: Array
     before: Array
     after: Array
     share: Array
@@ -92,141 +96,98 @@ class Rates(NamedTuple):
 
 
 @inline
-def _steps_in(room: Array) -> Steps:
-    """The steps of a block, in ``room`` (ROWS, ROOM). It is made by each kernel: its shape is known to the compiler there."""
-    return Steps(
-        room[0], room[1], room[2], room[3], room[4], room[5], room[6], room[7], room[8], room[9], room[10]
-    )
+def _block_in(r: Array) -> Block:
+    """The block in room (ROWS, _ROOM). The room is made by each kernel: its shape is known to the compiler there."""
+    return Block(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13])
 
 
 @inline
-def _rates_in(room: Array) -> Rates:
-    """The rates of a block, in the same ``room``."""
-    return Rates(room[11], room[12], room[13], room[14], room[15], room[16], room[17])
-
-
-@inline
-def _read_rates(samples: MotionSamples, first: int, stop: int, r: Rates) -> None:
+def _read_rates(samples: MotionSamples, first: int, stop: int, b: Block) -> None:
     """Effective rates at the samples from ``first`` to ``stop``."""
     f, K, coupling, count = samples.f[first:stop], samples.K, samples.K * samples.tan_beta, stop - first
     for i in range(count):
-        r.a[i] = K * f[i, 0]
-        r.y[i] = coupling * f[i, 1] + samples.offset_y
-        r.z[i] = coupling * f[i, 2] + samples.offset_z
+        b.a[i] = K * f[i, 0]
+        b.y[i] = coupling * f[i, 1] + samples.offset_y
+        b.z[i] = coupling * f[i, 2] + samples.offset_z
     if samples.base_rate.shape[0]:
         omega, tan_beta = samples.base_rate[first:stop], samples.tan_beta
         for i in range(count):
-            r.a[i] -= omega[i, 0]
-            r.y[i] -= tan_beta * omega[i, 1]
-            r.z[i] -= tan_beta * omega[i, 2]
+            b.a[i] -= omega[i, 0]
+            b.y[i] -= tan_beta * omega[i, 1]
+            b.z[i] -= tan_beta * omega[i, 2]
     if samples.extra.size:
         extra = samples.extra[first:stop]
         for i in range(count):
-            r.a[i] += extra[i]
+            b.a[i] += extra[i]
 
 
 @inline
-def _weigh_neighbours(t: Array, count: int, r: Rates) -> None:
-    """Weights of the second derivatives at ``count`` samples."""
-    for i in range(count - 2):
-        h0, h1 = t[i + 1] - t[i], t[i + 2] - t[i + 1]
-        per = 2.0 / (h0 * h1 * (h0 + h1))
-        r.before[i + 1], r.after[i + 1] = h1 * per, h0 * per
-    for i in range(count - 3):
-        h0, h, h1 = t[i + 1] - t[i], t[i + 2] - t[i + 1], t[i + 3] - t[i + 2]
-        r.share[i + 1] = (h + 2.0 * h0) / (2.0 * (h0 + h + h1))
-
-
-@inline
-def _smooth_bow(h: float, share: float, near: float, far: float) -> float:
-    """Mean of a smooth input over an interval ``h`` less the mean of both ends [rad/s].
-
-    Its second derivative lies ``share`` of the way from ``near`` to ``far``.
-    """
-    return bow_of(h, limited(near + share * (far - near), near, far))
-
-
-@inline
-def _end_bow(t: Array, bend: Array, i: int, near: int, step: int) -> float:
-    """Turn [rad] by the bow of the first or last interval of a record: the second derivative goes on from the two next to it.
-
-    It lies after sample ``i``; ``near`` is the sample at its inner end, ``step`` the direction from there into the record.
-    """
-    h, near_h = t[i + 1] - t[i], abs(t[near + step] - t[near])
-    far_h = abs(t[near + 2 * step] - t[near + step])
-    return h * _smooth_bow(h, -(h + 2.0 * near_h) / (2.0 * (h + near_h + far_h)), bend[near], bend[near + step])
-
-
-@inline
-def _add_bows(
-    t: Array, x: Array, count: int, skipped: int, ends: tuple[bool, bool], r: Rates, turn: Array
-) -> None:
-    """Add to the increments ``turn`` what a smooth input ``x`` turns more than a straight one.
-
-    ``count`` samples are known, of which ``skipped`` lie before the first step. ``ends``: the record begins, or ends, with them.
-    """
-    bend = r.bend
-    for i in range(count - 2):
-        bend[i + 1] = r.after[i + 1] * (x[i + 2] - x[i + 1]) - r.before[i + 1] * (x[i + 1] - x[i])
-    first = max(skipped, 1)
-    turns, times, share, bends = turn[first - skipped :], t[first:], r.share[first:], bend[first:]
-    for i in range(count - 2 - first):
-        h = times[i + 1] - times[i]
-        turns[i] += h * _smooth_bow(h, share[i], bends[i], bends[i + 1])
-    if ends[0]:
-        turn[0] += _end_bow(t, bend, 0, 1, 1)
-    if ends[1]:
-        turn[count - 2 - skipped] += _end_bow(t, bend, count - 2, count - 2, -1)
-
-
-@inline
-def _turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, r: Rates, s: Steps) -> None:
+def _turn_linear(samples: MotionSamples, first: int, count: int, skipped: int, b: Block) -> None:
     """Increments of ``count`` steps from sample ``first`` on, for input that is linear between samples."""
-    t, a, y, z = samples.t[first:], r.a[skipped:], r.y[skipped:], r.z[skipped:]
+    t, a, y, z = samples.t[first:], b.a[skipped:], b.y[skipped:], b.z[skipped:]
     for j in range(count):
         h = t[j + 1] - t[j]
-        s.A[j], s.Y[j], s.Z[j] = magnus_increments(h, a[j], y[j], z[j], a[j + 1], y[j + 1], z[j + 1])
+        b.A[j], b.Y[j], b.Z[j] = magnus_increments(h, a[j], y[j], z[j], a[j + 1], y[j + 1], z[j + 1])
     if samples.extra_mean.size and not samples.smooth:
         extra = samples.extra_mean[first:]
         for j in range(count):
-            s.A[j] += (t[j + 1] - t[j]) * extra[j]
+            b.A[j] += (t[j + 1] - t[j]) * extra[j]
 
 
 @inline
-def _make_matrices(t: Array, count: int, s: Steps) -> None:
+def _add_bows(x: Array, skipped: int, edges: tuple[bool, bool], w: Weights, turn: Array) -> None:
+    """Add to the increments ``turn`` what a smooth input ``x`` turns more than a straight one.
+
+    ``skipped`` of the intervals around the block lie before its first step. ``edges``: the record begins, or ends, with them.
+    """
+    n, first = w.h.size, max(skipped, 1)
+    second_derivatives(x[: n + 1], w.before, w.after, w.bend)
+    turns, h, share, bend = turn[first - skipped :], w.h[first:], w.share[first:], w.bend[first:]
+    for i in range(n - 1 - first):
+        turns[i] += h[i] * bow_inside(h[i], share[i], bend[i], bend[i + 1])
+    if edges[0]:
+        turn[0] += w.h[0] * bow_at_end(w.h[0], w.h[1], w.h[2], w.bend[1], w.bend[2])
+    if edges[1]:
+        turn[n - 1 - skipped] += w.h[n - 1] * bow_at_end(
+            w.h[n - 1], w.h[n - 2], w.h[n - 3], w.bend[n - 1], w.bend[n - 2]
+        )
+
+
+@inline
+def _make_matrices(t: Array, count: int, b: Block) -> None:
     """Matrices of the steps between times ``t`` (count + 1,) from their increments."""
     for j in range(count):
-        A, Y, Z = s.A[j], s.Y[j], s.Z[j]
-        s.pp[j], s.pq[j], s.qp[j], s.qq[j] = step_matrix(A, Y, Z)
-        s.size[j] = A * A + Y * Y + Z * Z if t[j + 1] > t[j] else math.inf
+        A, Y, Z = b.A[j], b.Y[j], b.Z[j]
+        b.pp[j], b.pq[j], b.qp[j], b.qq[j] = step_matrix(A, Y, Z)
+        b.size[j] = A * A + Y * Y + Z * Z if t[j + 1] > t[j] else math.inf
 
 
 @inline
-def _carry_pair(count: int, s: Steps, turns: float, p: float, q: float) -> tuple[int, float, float, float]:
+def _carry_pair(count: int, b: Block, turns: float, p: float, q: float) -> tuple[int, float, float, float]:
     """Carry turns and pair through ``count`` steps. Returns the number of steps done (fewer: the next one is unusable)."""
     for j in range(count):
-        s.turns[j], s.p[j], s.q[j] = turns, p, q
-        if s.size[j] <= SMALL_STEP:
-            p, q = (p + s.pp[j] * p) + s.pq[j] * q, (q + s.qq[j] * q) + s.qp[j] * p
+        b.turns[j], b.p[j], b.q[j] = turns, p, q
+        if b.size[j] <= SMALL_STEP:
+            p, q = (p + b.pp[j] * p) + b.pq[j] * q, (q + b.qq[j] * q) + b.qp[j] * p
             if q < 0.0:  # a turn is completed: upwards if P has the sign that Q had
                 turns += 1.0 if p > 0.0 else -1.0
                 p, q = -p, -q
         else:
-            A, Y, Z = s.A[j], s.Y[j], s.Z[j]
-            if not (s.size[j] < math.inf and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
+            A, Y, Z = b.A[j], b.Y[j], b.Z[j]
+            if not (b.size[j] < math.inf and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
                 return j, turns, p, q
             p, q = unit_pair(p, q)
             turns, _, p, q = advance(turns, double_arctangent(p, q), p, q, A, Y, Z)
-    s.turns[count], s.p[count], s.q[count] = turns, p, q
+    b.turns[count], b.p[count], b.q[count] = turns, p, q
     p, q = unit_pair(p, q)
     return count, turns, p, q
 
 
 @inline
-def _read_angles(s: Steps, alpha: Array) -> None:
+def _read_angles(b: Block, alpha: Array) -> None:
     """Unwrapped angles [rad] of turns and pairs."""
     for j in range(alpha.size):
-        alpha[j] = unwrapped(s.turns[j], double_arctangent(s.p[j], s.q[j]))
+        alpha[j] = unwrapped(b.turns[j], double_arctangent(b.p[j], b.q[j]))
 
 
 @kernel
@@ -238,84 +199,77 @@ def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSa
     """
     t, n = samples.t, samples.t.size
     room = np.empty((ROWS, _ROOM))
-    s, r = _steps_in(room), _rates_in(room)
+    b = _block_in(room)
     turns, p, q = state[0], state[1], state[2]
     for first in range(0, n, BLOCK):
         last = min(first + BLOCK, n)  # of the samples of this block
         count = min(last, n - 1) - first  # of its steps
         around, stop = max(first - 2, 0), min(first + count + 2, n)
-        skipped, measured = first - around, stop - around
-        _read_rates(samples, around, stop, r)
-        _turn_linear(samples, first, count, skipped, r, s)
+        skipped = first - around
+        _read_rates(samples, around, stop, b)
+        _turn_linear(samples, first, count, skipped, b)
         if samples.smooth and n > 3 and count > 0:
-            ends, times = (first == 0, first + count == n - 1), t[around:stop]
-            _weigh_neighbours(times, measured, r)
-            _add_bows(times, r.a, measured, skipped, ends, r, s.A)
-            _add_bows(times, r.y, measured, skipped, ends, r, s.Y)
-            _add_bows(times, r.z, measured, skipped, ends, r, s.Z)
-        _make_matrices(t[first:], count, s)
-        done, turns, p, q = _carry_pair(count, s, turns, p, q)
+            steps, edges = stop - around - 1, (first == 0, first + count == n - 1)
+            w = Weights(room[14][:steps], room[15], room[16], room[17], room[18])
+            for i in range(steps):
+                w.h[i] = t[around + i + 1] - t[around + i]
+            weigh_neighbours(w.h, w.before, w.after, w.share)
+            _add_bows(b.a, skipped, edges, w, b.A)
+            _add_bows(b.y, skipped, edges, w, b.Y)
+            _add_bows(b.z, skipped, edges, w, b.Z)
+        _make_matrices(t[first:], count, b)
+        done, turns, p, q = _carry_pair(count, b, turns, p, q)
         if done < count:
             return first + done
         if alpha.size:
-            _read_angles(s, alpha[first:last])
+            _read_angles(b, alpha[first:last])
         if rate.size:
-            a, y, z, out = r.a[skipped:], r.y[skipped:], r.z[skipped:], rate[first:last]
+            a, y, z, out = b.a[skipped:], b.y[skipped:], b.z[skipped:], rate[first:last]
             for j in range(out.size):  # a + y sin(alpha) - z cos(alpha)
-                pj, qj = s.p[j], s.q[j]
+                pj, qj = b.p[j], b.q[j]
                 out[j] = a[j] + (2.0 * pj * qj * y[j] - (qj * qj - pj * pj) * z[j]) / (pj * pj + qj * qj)
     state[0], state[1], state[2] = turns, p, q
     return GOOD
 
 
-class FleetInput(NamedTuple):
-    """Motions over the same times ``t`` (n,) [s].
+@parallel_kernel
+def propagate_many(
+    t: Array, f: Array, base_rate: Array, constants: Array, smooth: bool, states: Array, angles: bool, out: Array,
+    status: Array,
+) -> None:  # fmt: skip
+    """Angle [rad] or rate [rad/s] of each of m motions over the same times, in ``out`` (m, n).
 
-    Force (m or 1, n, 3) [m/s^2]; base rate (m or 1, n, 3) [rad/s], or (1, 0, 3). ``constants`` (m, 2): K [rad/s/(m/s^2)] and
-    tan(beta). ``smooth``: how the input goes between samples.
+    Force (m or 1, n, 3); base rate (m or 1, n, 3), or (1, 0, 3). ``constants`` (m, 2): K [rad/s/(m/s^2)] and tan(beta).
+    ``states`` (m, 3): turns, P, Q. ``status`` (m,): see :func:`propagate_samples`.
     """
-
-    t: Array
-    f: Array
-    base_rate: Array
-    constants: Array
-    smooth: bool
+    for i in prange(out.shape[0]):
+        k: Any = np.int64(i)  # prange counts in unsigned integers
+        status[i] = _propagate_one(t, f, base_rate, constants[k], smooth, states[k], angles, k, out[k])
 
 
 @kernel
-def _propagate_one(fleet: FleetInput, i: int, state: Array, angles: bool, result: Array) -> int:
+def _propagate_one(
+    t: Array, f: Array, base_rate: Array, constants: Array, smooth: bool, state: Array, angles: bool, i: int, out: Array
+) -> int:  # fmt: skip
     """Angle or rate of motion ``i``; see :func:`propagate_many`."""
     none = np.empty(0)
-    f, base_rate = fleet.f[min(i, fleet.f.shape[0] - 1)], fleet.base_rate[min(i, fleet.base_rate.shape[0] - 1)]
-    K, tan_beta = fleet.constants[i, 0], fleet.constants[i, 1]
-    samples = MotionSamples(fleet.t, f, base_rate, none, none, K, tan_beta, 0.0, 0.0, fleet.smooth)
-    return propagate_samples(state, result if angles else none, none if angles else result, samples)
-
-
-@parallel_kernel
-def propagate_many(fleet: FleetInput, states: Array, angles: bool, result: Array, status: Array) -> None:
-    """Angle [rad] or rate [rad/s] of each motion in ``result`` (m, n); ``states`` (m, 3): turns, P, Q.
-
-    ``status`` (m,): see :func:`propagate_samples`.
-    """
-    for i in prange(result.shape[0]):
-        k: Any = np.int64(i)  # prange counts in unsigned integers
-        status[i] = _propagate_one(fleet, k, states[i], angles, result[i])
+    force, omega = f[min(i, f.shape[0] - 1)], base_rate[min(i, base_rate.shape[0] - 1)]
+    samples = MotionSamples(t, force, omega, none, none, constants[0], constants[1], 0.0, 0.0, smooth)
+    return propagate_samples(state, out if angles else none, none if angles else out, samples)
 
 
 @inline
-def _neighbours_of(t: Array, j: int) -> tuple[int, float, float, float]:
-    """The three intervals from which the slope in interval ``j`` follows: the first one, and what :func:`_slope_in` needs."""
+def _neighbours_of(t: Array, i: int) -> tuple[int, float, float, float]:
+    """The three intervals from which the slope in the middle of interval ``i`` follows: the first, and what it takes of them."""
     n = t.size - 1
     if n < 3:
         return 0, (2.0 / (t[2] - t[0]) if n == 2 else 0.0), 0.0, 0.0
-    k = min(max(j - 1, 0), n - 3)
+    k = min(max(i - 1, 0), n - 3)
     h0, h1, h2 = t[k + 1] - t[k], t[k + 2] - t[k + 1], t[k + 3] - t[k + 2]
-    half = 0.5 / (h0 + h1 + h2)
-    share = (h1 + 2.0 * h0) * half
-    if j != k + 1:
-        share = -(h0 + 2.0 * h1) * half if j == k else 1.0 + (h2 + 2.0 * h1) * half
-    return k, 2.0 / (h0 + h1), 2.0 / (h1 + h2), share
+    place = (
+        0.5 * h1 if i == k + 1 else (-0.5 * h0 if i == k else h1 + 0.5 * h2)
+    )  # from the end of the first one
+    return k, 2.0 / (h0 + h1), 2.0 / (h1 + h2), (3.0 * place + h0 - h1) / (h0 + h1 + h2)
 
 
 @inline
@@ -336,31 +290,30 @@ def propagate_increments(
     """
     turns, p, q = state[0], state[1], state[2]
     n, turning = dv.shape[0], dtheta.shape[0] > 0
-    room = np.zeros((ROWS, _ROOM))
-    s, r = _steps_in(room), _rates_in(room)
+    b = _block_in(np.zeros((ROWS, _ROOM)))
     for first in range(0, n + 1, BLOCK):
         last = min(first + BLOCK, n + 1)
         count, around = min(last, n) - first, max(first - 2, 0)
         for j in range(around, min(first + count + 2, n)):
             i, per = j - around, 1.0 / (t[j + 1] - t[j])
-            r.a[i] = per * (K * dv[j, 0] - (dtheta[j, 0] if turning else 0.0))
-            r.y[i] = per * tan_beta * (K * dv[j, 1] - (dtheta[j, 1] if turning else 0.0))
-            r.z[i] = per * tan_beta * (K * dv[j, 2] - (dtheta[j, 2] if turning else 0.0))
+            b.a[i] = per * (K * dv[j, 0] - (dtheta[j, 0] if turning else 0.0))
+            b.y[i] = per * tan_beta * (K * dv[j, 1] - (dtheta[j, 1] if turning else 0.0))
+            b.z[i] = per * tan_beta * (K * dv[j, 2] - (dtheta[j, 2] if turning else 0.0))
         for i in range(count):
             j = first + i
             k, per, per_next, share = _neighbours_of(t, j)
-            sa = _slope_in(r.a, k - around, per, per_next, share)
-            sy = _slope_in(r.y, k - around, per, per_next, share)
-            sz = _slope_in(r.z, k - around, per, per_next, share)
-            h, a, y, z = t[j + 1] - t[j], r.a[j - around], r.y[j - around], r.z[j - around]
+            sa = _slope_in(b.a, k - around, per, per_next, share)
+            sy = _slope_in(b.y, k - around, per, per_next, share)
+            sz = _slope_in(b.z, k - around, per, per_next, share)
+            h, a, y, z = t[j + 1] - t[j], b.a[j - around], b.y[j - around], b.z[j - around]
             cross = h * h * h * (1.0 / 12.0)
-            s.A[i] = h * a + cross * (y * sz - z * sy)
-            s.Y[i], s.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
-        _make_matrices(t[first:], count, s)
-        done, turns, p, q = _carry_pair(count, s, turns, p, q)
+            b.A[i] = h * a + cross * (y * sz - z * sy)
+            b.Y[i], b.Z[i] = h * y + cross * (a * sz - z * sa), h * z - cross * (a * sy - y * sa)
+        _make_matrices(t[first:], count, b)
+        done, turns, p, q = _carry_pair(count, b, turns, p, q)
         if done < count:
             return first + done
-        _read_angles(s, alpha[first:last])
+        _read_angles(b, alpha[first:last])
     state[0], state[1], state[2] = turns, p, q
     return GOOD
 

@@ -175,28 +175,21 @@ def _constant_motion(
 
 
 @exact
-def constant_motion_at(rates: Array, t: Array, turns: float, rest: float, result: Array) -> None:
-    """Rows turns, rest [rad] and rate [rad/s] of ``result`` (3, n) at the times ``t`` (n,) [s].
+def constant_motions(
+    t: Array, f: Array, base_rate: Array, K: float, tan_beta: float, turns: float, rest: float, onward: bool,
+    result: Array,
+) -> None:  # fmt: skip
+    """Rows turns, rest [rad] and rate [rad/s] of ``result`` (3, n) after times ``t`` (n,) [s] of constant input.
 
-    ``rates`` (3, 2): ``a``, ``y``, ``z`` [rad/s] as double-doubles.
-    """
-    a, y, z = (rates[0, 0], rates[0, 1]), (rates[1, 0], rates[1, 1]), (rates[2, 0], rates[2, 1])
-    for k in range(t.size):
-        result[0, k], result[1, k], result[2, k] = _constant_motion(a, y, z, t[k], turns, rest)
-
-
-@exact
-def segment_motion(
-    t: Array, f: Array, base_rate: Array, K: float, tan_beta: float, turns: float, rest: float, ends: Array
-) -> None:
-    """Rows turns, rest [rad] and rate [rad/s] of ``ends`` (3, n) at the ends of constant segments.
-
-    ``t`` (n,) durations [s], ``f`` and ``base_rate`` (n, 3) of the segments [m/s^2], [rad/s].
+    ``f`` and ``base_rate`` (n or 1, 3) [m/s^2], [rad/s] are taken as exact. ``onward``: each motion begins where the last one ended.
     """
     for k in range(t.size):
-        a = dd.add(dd.two_product(K, f[k, 0]), (-base_rate[k, 0], 0.0))
-        y = dd.add(dd.two_product(K, f[k, 1]), (-base_rate[k, 1], 0.0))
-        z = dd.add(dd.two_product(K, f[k, 2]), (-base_rate[k, 2], 0.0))
+        i = min(k, f.shape[0] - 1)
+        a = dd.add(dd.two_product(K, f[i, 0]), (-base_rate[i, 0], 0.0))
+        y = dd.add(dd.two_product(K, f[i, 1]), (-base_rate[i, 1], 0.0))
+        z = dd.add(dd.two_product(K, f[i, 2]), (-base_rate[i, 2], 0.0))
         y, z = dd.multiply(y, (tan_beta, 0.0)), dd.multiply(z, (tan_beta, 0.0))
-        turns, rest, rate = _constant_motion(a, y, z, t[k], turns, rest)
-        ends[0, k], ends[1, k], ends[2, k] = turns, rest, rate
+        ended, left, rate = _constant_motion(a, y, z, t[k], turns, rest)
+        result[0, k], result[1, k], result[2, k] = ended, left, rate
+        if onward:
+            turns, rest = ended, left

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from piga._kernels.arithmetic import weigh_neighbours
 from piga._kernels.estimation import (
     NONE,
     add_product_bows,
@@ -369,11 +370,11 @@ class Design:
         h[run.begins[low + 1 : high]] = 0.0
         inputs = [*self._force[:, low:high]]
         inputs += [] if run.base_rate is None else [*run.base_rate[low:high].T]
-        bows, work, bent = np.empty((6, h.size)), np.empty(h.size), False
-        bows[len(inputs) :] = 0.0
+        bows, (before, after, share, bend) = np.zeros((6, h.size)), np.empty((4, h.size))
+        weigh_neighbours(np.where(h != 0.0, h, 1.0), before, after, share)  # those beside a gap are not used
         for bow, samples in zip(bows, inputs, strict=False):
-            bent |= bool(smooth_bows(np.ascontiguousarray(samples), h, work, bow))
-        return bows[:, first - low : stop - 1 - low] if bent else None
+            smooth_bows(np.ascontiguousarray(samples), h, before, after, share, bend, bow)
+        return bows[:, first - low : stop - 1 - low] if bows.any() else None
 
     def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
         if self.point:
