@@ -49,9 +49,7 @@ Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
 Method = Literal["information", "rate", "recursive", "revolutions"]
 
-PHASES: tuple[str, ...] = get_args(Phases)
-PHASE_SOURCES: tuple[str, ...] = get_args(PhaseSource)
-METHODS: tuple[str, ...] = get_args(Method)
+PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)
 METHOD_WORDS: dict[str, tuple[str, str]] = {
     "information": (
         "least squares of the whitened angle increments, reduced orthogonally",
@@ -135,10 +133,7 @@ class ServoTable(TomlTable, frozen=True):
 
 
 class InstrumentTable(TomlTable, frozen=True):
-    """``[instrument]``: identity, nominal parameters and known servo parameters of the instrument.
-
-    A ``direct`` instrument has no gimbal: its output is a count, or a rate in any unit.
-    """
+    """``[instrument]``. A ``direct`` instrument has no gimbal: its output is a count, or a rate in any unit."""
 
     serial: str
     scale_factor: Quantity
@@ -344,9 +339,9 @@ class UncertaintyTable(TomlTable, frozen=True):
 
     def of_the_stand(self) -> dict[str, Any]:
         """The stand-specific entries of this table."""
+        entries = msgspec.structs.asdict(self)
         general = (*UNCERTAINTY_UNITS, "reference_id", "waived")
-        entries = msgspec.structs.asdict(self).items()
-        return {name: value for name, value in entries if name not in general and value is not None}
+        return {name: v for name, v in entries.items() if name not in general and v is not None}
 
 
 class RunFile(TomlTable, frozen=True):
@@ -442,14 +437,11 @@ def _faults(run_file: RunFile) -> _Faults:
         yield f"{what}: must be positive", "use a positive value; reverse X0 in the reference"
     if instrument.servo is not None:
         instrument.servo.parameters()
-    if data.time is not None:
-        if (data.time.unit is None) == (data.time.stamp is None):
-            yield (
-                "[data] time: give either unit or stamp",
-                "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps",
-            )
-        if data.time.unit is not None:
-            conversion_factor(data.time.unit, "s", what="[data] time")
+    if data.time is not None and (data.time.unit is None) == (data.time.stamp is None):
+        remedy = "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps"
+        yield "[data] time: give either unit or stamp", remedy
+    if data.time is not None and data.time.unit is not None:
+        conversion_factor(data.time.unit, "s", what="[data] time")
     settle = data.in_si("[data] ").get("settle", 0.0)
     run_file.uncertainty.in_si("[uncertainty] ")
     yield from faults_of_waived(run_file.uncertainty)
@@ -459,10 +451,8 @@ def _faults(run_file: RunFile) -> _Faults:
     yield from _faults_of_noise(run_file)
     stated = run_file.uncertainty.of_the_stand()
     if stated and run_file.stand is None:
-        yield (
-            f"[uncertainty] {next(iter(stated))}: belongs to a stand, but there is no [stand] table",
-            "add [stand] kind = '...', latitude = '...' and its positions or levels",
-        )
+        words = f"[uncertainty] {next(iter(stated))}: belongs to a stand, but there is no [stand] table"
+        yield words, "add [stand] kind = '...', latitude = '...' and its positions or levels"
     yield from _faults_of_rows(data)
     if settle < 0.0:
         yield "[data] settle: must be zero or more", "e.g. '20 s'"
@@ -480,10 +470,8 @@ def _faults_of_output(run_file: RunFile) -> _Faults:
         reach = f"{_LEAST_COUNTS:g} to {_MOST_COUNTS:g}"
         yield f"[instrument] counts_per_revolution: must be positive, {reach}", "correct it"
     if output.counted and unit not in ("", "count", "counts", "1"):
-        yield (
-            f"[data] output: unit '{unit}' cannot be used with kind '{output.kind}'",
-            "leave the unit out, or set kind to 'angle' or 'rate'",
-        )
+        words = f"[data] output: unit '{unit}' cannot be used with kind '{output.kind}'"
+        yield words, "leave the unit out, or set kind to 'angle' or 'rate'"
     like = "rad" if output.kind == "angle" else "rad/s"
     if not output.counted and not unit:
         yield f"[data] output: kind '{output.kind}' needs a unit", f"add unit = '{like}'"
@@ -508,33 +496,30 @@ def _faults_of_direct(run_file: RunFile) -> _Faults:
         "[data] output: kind 'angle'": data.output.kind == "angle",
     }
     for key in (key for key, given in belongs.items() if given):
-        yield (
-            f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'",
-            "kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out",
-        )
+        remedy = "kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out"
+        yield f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'", remedy
 
 
 def check_direct_unit(unit: str, what: str) -> None:
     """Refuse a unit of the output rate that a direct instrument cannot have: an angle is that of a gimbal."""
     if parse_unit(unit).dimension[2] or unit == GYRO:
-        raise RunFileError(
-            f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal",
-            remedy="declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out",
-        )
+        remedy = "declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out"
+        words = f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal"
+        raise RunFileError(words, remedy=remedy)
 
 
 def _faults_of_noise(run_file: RunFile) -> _Faults:
-    estimation, count = run_file.estimation, integral_unit(run_file.unit)
-    levels = {"angle_rms": count, "angle_random_walk": f"{count}/sqrt(s)"}
-    for name, like in levels.items():
-        value = getattr(estimation, name)
+    count, rms, walk = (
+        integral_unit(run_file.unit),
+        run_file.estimation.angle_rms,
+        run_file.estimation.angle_random_walk,
+    )
+    for name, value, like in (("angle_rms", rms, count), ("angle_random_walk", walk, f"{count}/sqrt(s)")):
         if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
             yield f"[estimation] {name}: '{value}' is negative", "give a standard deviation"
-    if (estimation.angle_rms is None) != (estimation.angle_random_walk is None):
-        yield (
-            "[estimation] angle_rms and angle_random_walk: one of them is missing",
-            "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise",
-        )
+    if (rms is None) != (walk is None):
+        words = "[estimation] angle_rms and angle_random_walk: one of them is missing"
+        yield words, "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise"
 
 
 ASSUMED_SOURCES = ("earth_rate", "height", "servo")
@@ -563,7 +548,5 @@ def _faults_of_rows(data: DataTable) -> _Faults:
         if not low < high:
             yield f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them"
     if data.label_column in numbers:
-        yield (
-            f"[data] segment: '{data.segment}' is a number column that is in use already",
-            "name another column for the segments",
-        )
+        words = f"[data] segment: '{data.segment}' is a number column that is in use already"
+        yield words, "name another column for the segments"

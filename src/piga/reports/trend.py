@@ -17,7 +17,7 @@ from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, sh
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
-from piga.trend.trend_line import TREND, Forecast
+from piga.trend.trend_line import CONTROL_LIMIT, Forecast
 from piga.units import DAY
 
 _GRID = 80
@@ -106,7 +106,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
 
 
 def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> None:
-    chart, limit = trend.chart, TREND.control_limit
+    chart, limit = trend.chart, CONTROL_LIMIT
     seen = np.isfinite(chart.score)
     x = _dates(start, chart.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])

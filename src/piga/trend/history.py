@@ -26,7 +26,9 @@ from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn
 from piga.threads import one_thread
 from piga.trend.trend_line import (
-    TREND,
+    CONTROL_LIMIT,
+    DOUBT,
+    LEAST_DAYS,
     Forecast,
     Outlook,
     Step,
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_SHORT = 0.25
+"""Length of the history [years] below which a drift per year is an extrapolation and gets a remark (own choice)."""
 YEAR = 31557600.0
 """One year [s], as the unit ``year``."""
 HistoryEntry = tuple[str, dt.datetime, Calibration]
@@ -76,7 +80,7 @@ class Point:
     @property
     def outside(self) -> bool:
         """True when the value lies beyond the control limits."""
-        return abs(self.score) > TREND.control_limit
+        return abs(self.score) > CONTROL_LIMIT
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,7 +132,7 @@ class CoefficientTrend(Result):
     @property
     def stepped(self) -> bool:
         """True if the clearest step is less likely by chance than a value beyond the control limits."""
-        return self.step is not None and self.step.probability < math.erfc(TREND.control_limit / math.sqrt(2.0))
+        return self.step is not None and self.step.probability < math.erfc(CONTROL_LIMIT / math.sqrt(2.0))
 
     @cached_property
     def outlook(self) -> Outlook:
@@ -188,12 +192,12 @@ class CoefficientTrend(Result):
             unit = f"{unit} per year".removeprefix("1 ")
             yield f"{self.key} drifts by {shown} {unit} (95 %: {low} to {high})."
         nu, times = line.degrees_of_freedom, math.sqrt(line.chi2 / line.degrees_of_freedom)
-        if chdtrc(nu, line.chi2) < TREND.doubt:
+        if chdtrc(nu, line.chi2) < DOUBT:
             yield (
                 f"{self.key}: days scatter {times:.1f} times as much as the records' own uncertainties explain. "
                 "The excess counts as day-to-day instability."
             )
-        elif chdtr(nu, line.chi2) < TREND.doubt:
+        elif chdtr(nu, line.chi2) < DOUBT:
             yield (
                 f"{self.key}: days scatter less than the records' own uncertainties say: these are stated too "
                 "large, or contain a part that the records share."
@@ -362,7 +366,7 @@ class _Records:
         count = int(self.days[-1]) + 1
         scores, day_scores = np.full(values.size, math.nan), np.full(count, math.nan)
         forecasts: list[Forecast | None] = [None] * values.size
-        for day in range(TREND.least_days, count):
+        for day in range(LEAST_DAYS, count):
             before, today = self.days < day, np.flatnonzero(self.days == day)
             earlier = self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
             model = TrendModel(merge_by_day(*earlier))
@@ -380,9 +384,9 @@ class _Records:
         """What to know of the records to judge the figures."""
         calibrations = self.calibrations
         days, span, n = int(self.days[-1]) + 1, float(self.years[-1]), len(calibrations)
-        if days < TREND.least_days:
+        if days < LEAST_DAYS:
             yield f"The records are of {days} day{'s' * (days > 1)}: drift and forecast need three days or more."
-        elif span < TREND.short:
+        elif span < _SHORT:
             yield f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
         if len({calibration.terms for calibration in calibrations}) > 1:
             yield (

@@ -21,30 +21,20 @@ from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
 from piga.results import Array, Result
 
-
-@dataclass(frozen=True)
-class _TrendSettings:
-    """Limits of the trend line (own choices)."""
-
-    low_sum: float = 0.2
-    """Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
-    doubt: float = 0.01
-    """Probability below which a small or large scatter contradicts the stated uncertainties."""
-    tiny: float = 1e-12
-    """Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
-    least_days: int = 3
-    """Fewest days for a line with uncertainty."""
-    short: float = 0.25
-    """Length of the history [years] below which a drift per year is an extrapolation and gets a remark."""
-    smoothing: float = 0.2
-    """Weight of the newest score in the moving average of the control chart."""
-    control_limit: float = 3.0
-    """Control limit of scores and of their moving average, in its standard deviations."""
-    beside_step: int = 2
-    """Fewest days before and after a step."""
-
-
-TREND = _TrendSettings()
+_LOW_SUM = 0.2
+"""Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
+DOUBT = 0.01
+"""Probability below which a small or large scatter contradicts the stated uncertainties."""
+_TINY = 1e-12
+"""Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
+LEAST_DAYS = 3
+"""Fewest days for a line with uncertainty."""
+_SMOOTHING = 0.2
+"""Weight of the newest score in the moving average of the control chart."""
+CONTROL_LIMIT = 3.0
+"""Control limit of scores and of their moving average, in its standard deviations."""
+_BESIDE_STEP = 2
+"""Fewest days before and after a step."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,17 +56,11 @@ class Days(Result):
 def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Days:
     """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
 
-    Parameters
-    ----------
-    time, values, variances:
-        (n,) each, day by day; variances of errors that are not common to the values.
-    days:
-        (n,) number of the day, from 0, in rising order.
-    shared:
-        (sources, n) errors common to the values.
+    ``time``, ``values`` and ``variances`` (n,) are in the order of time; ``days`` (n,) numbers the days from 0. ``shared``
+    (sources, n) are errors common to the values. They are not in the variances.
     """
     y = np.asarray(values, dtype=float)
-    v = np.maximum(variances, (TREND.tiny * float(np.abs(y).max() or 1.0)) ** 2)
+    v = np.maximum(variances, (_TINY * float(np.abs(y).max() or 1.0)) ** 2)
     first = np.searchsorted(days, np.arange(int(days[-1]) + 1))
     freedom = y.size - first.size
 
@@ -120,19 +104,11 @@ def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale
 class Line(Result):
     """Weighted least squares of the day means: a straight line about the time ``origin``, perhaps with a step.
 
-    Attributes
-    ----------
-    coefficients, covariance:
-        Value at ``origin``, change per unit of time and, if there is one, the step; covariance by the scatter.
-    shared:
-        (coefficients, sources): effect of errors common to the values on the coefficients.
-    excess, stated:
-        Variance ``tau^2`` beyond the stated one, zero if the stated one explains the scatter; mean stated variance.
-    scale:
-        Weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
-        scatter less than stated, but not less than its 20 % quantile.
-    chi2:
-        Weighted residual sum with the stated variances alone.
+    ``coefficients`` are the value at ``origin``, the change per unit of time and, if there is one, the step. ``covariance`` is
+    theirs by the scatter, ``shared`` (coefficients, sources) the effect of errors common to the values.
+    ``excess`` is the variance ``tau^2`` beyond the mean stated one, ``stated``; zero if the stated one explains the scatter.
+    ``scale`` is the weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
+    scatter less than stated, but not less than its 20 % quantile. ``chi2`` is the sum with the stated variances alone.
     """
 
     origin: float
@@ -171,7 +147,7 @@ def line_through(days: Days, step: int | None = None) -> Line:
     chi2 = weights(0.0)[1]
     excess = _excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
     estimate, residual_sum = weights(excess)
-    scale = max(residual_sum, float(chdtri(freedom, 1.0 - TREND.low_sum))) / freedom
+    scale = max(residual_sum, float(chdtri(freedom, 1.0 - _LOW_SUM))) / freedom
     coefficients = estimate @ since
     coefficients[0] += y[0]
     return Line(
@@ -205,7 +181,7 @@ def clearest_step(days: Days) -> Step | None:
     """
     from scipy.special import stdtr
 
-    places = range(TREND.beside_step, days.time.size - TREND.beside_step + 1)
+    places = range(_BESIDE_STEP, days.time.size - _BESIDE_STEP + 1)
     if days.time.size < 5:
         return None
     steps = []
@@ -250,7 +226,7 @@ class TrendModel(Result):
     @cached_property
     def line(self) -> Line | None:
         """The line through the days, None with fewer than three."""
-        return line_through(self.days) if self.days.time.size >= TREND.least_days else None
+        return line_through(self.days) if self.days.time.size >= LEAST_DAYS else None
 
     @property
     def drift(self) -> Forecast | None:
@@ -305,7 +281,7 @@ def moving_average(scores: Array) -> tuple[Array, Array]:
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
     averages, limits = np.full((2, scores.size), np.nan)
-    seen, most, weight = np.flatnonzero(~np.isnan(scores)), TREND.control_limit, TREND.smoothing
+    seen, most, weight = np.flatnonzero(~np.isnan(scores)), CONTROL_LIMIT, _SMOOTHING
     steps = weight * np.clip(scores[seen], -most, most)
     averages[seen] = list(
         accumulate(steps, lambda average, step: (1.0 - weight) * average + step, initial=0.0)
@@ -380,15 +356,9 @@ class Outlook(Result):
 
 
 def outlook(days: Days) -> Outlook:
-    """The models of the scatter of three days or more.
-
-    Raises
-    ------
-    ArgumentError
-        With fewer than three days.
-    """
+    """The models of the scatter of three days or more."""
     n = days.time.size
-    if n < TREND.least_days:
+    if n < LEAST_DAYS:
         raise _TOO_FEW
     since, design = days.time - days.time[0], _design(days.time)
     q, _ = np.linalg.qr(design)
