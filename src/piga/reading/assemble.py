@@ -115,11 +115,11 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
     scale_factor = scale_factor_in(instrument.scale_factor, run_file.unit)
     gyro = instrument.kind == "gyro"
     output, lost = _output(data, raw, base, scale, 1.2 * scale_factor * largest_size(f[:, 0]) * base.nominal)
-    if gyro and data.output.counted and instrument.counter_bits is None:
-        _mark_resets(raw, t, output, base, 1.5 * scale_factor * float(norms(f).max()), lost)
     if gyro and data.output.kind != "rate":
         fold = math.inf if scale.span is None else abs(scale.span * scale.factor)
-        _mark_lost_counts(raw, t, output, base, lost, fold)
+        unfolded = data.output.counted and instrument.counter_bits is None
+        fastest = 1.5 * scale_factor * float(norms(f).max()) if unfolded else math.inf
+        _mark_lost(raw, t, output, base, lost, fastest, fold)
     if data.reference is not None:
         note_norm(raw, f)
     note_doubtful(raw, data.output.kind == "rate", t, output, f, base, scale_factor, scale)
@@ -262,44 +262,34 @@ def _output(
     return scaled(output, -1.0) if data.output.direction < 0 else output, lost
 
 
-def _mark_resets(
-    raw: RawColumns, t: Array, psi: Array, base: TimeBase, fastest: float, lost: NDArray[np.bool_]
+def _mark_lost(
+    raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_], fastest: float, fold: float
 ) -> None:
-    """Mark stretches whose first count cannot follow from the reading before: their phase is lost.
+    """Mark stretches whose phase is lost: where a counter was reset, or lost counts.
 
-    Between segments the case may also have been turned once about the input axis. ``fastest``: largest rate [rad/s].
-    """
-    at = np.flatnonzero(base.begins)[1:]
-    interval = t[at] - t[at - 1]
-    slack = np.where(raw.segment[at] == raw.segment[at - 1], 0.2, 7.0)
-    gone = at[(interval > 0.0) & (np.abs(psi[at] - psi[at - 1]) > (fastest + 1e-3) * interval + slack)]
-    lost[gone] = True
-    raw.note("counter-reset", gone, "between two stretches; the phase is new")
-
-
-def _mark_lost_counts(
-    raw: RawColumns, t: Array, psi: Array, base: TimeBase, lost: NDArray[np.bool_], fold: float
-) -> None:
-    """Mark gaps inside a position over which the output did not turn as it does on both sides: counts were lost.
-
-    The rates on both sides are those of the stretches before and after. Each must have turned once, or by half a radian in a
-    time no shorter than the gap. ``fold`` [rad]: range after which the reading folds back; whole ranges are not seen.
+    It was reset if its first count cannot follow from the reading before at the rate ``fastest`` [rad/s]. Between segments the
+    case may also have been turned once about the input axis. It lost counts in a gap inside a position over which the output
+    did not turn as it does on both sides. The rates on both sides are those of the stretches before and after. Each must have
+    turned once, or by half a radian in a time no shorter than the gap. ``fold`` [rad]: range after which the reading folds
+    back; whole ranges are not seen.
     """
     bounds = np.append(np.flatnonzero(base.begins), t.size)
     before, at, after = bounds[:-2], bounds[1:-1], bounds[2:]
-    gap = t[at] - t[at - 1]
+    gap, moved, inside = t[at] - t[at - 1], psi[at] - psi[at - 1], raw.segment[at] == raw.segment[at - 1]
+    reset = (gap > 0.0) & (np.abs(moved) > (fastest + 1e-3) * gap + np.where(inside, 0.2, 7.0))
+    raw.note("counter-reset", at[reset], "between two stretches; the phase is new")
     times = np.array([t[at - 1] - t[before], t[after - 1] - t[at]])
     turns = np.array([psi[at - 1] - psi[before], psi[after - 1] - psi[at]])
-    comparable = (raw.segment[at] == raw.segment[at - 1]) & ~lost[at] & (gap > 0.0) & (times.min(axis=0) > 0.0)
-    turned = np.abs(turns).min(axis=0)
-    comparable &= (turned >= 2.0 * np.pi) | ((turned >= _LEAST_TURN) & (times.min(axis=0) >= gap))
+    shortest, turned = times.min(axis=0), np.abs(turns).min(axis=0)
+    comparable = inside & ~lost[at] & ~reset & (gap > 0.0) & (shortest > 0.0)
+    comparable &= (turned >= 2.0 * np.pi) | ((turned >= _LEAST_TURN) & (shortest >= gap))
     first, second = np.divide(turns, times, out=np.zeros_like(turns), where=comparable)
     allowed = _LOST_ANGLE + (np.abs(first - second) + _LOST_SHARE * np.abs(first)) * gap
-    missed = psi[at] - psi[at - 1] - 0.5 * (first + second) * gap
+    missed = moved - 0.5 * (first + second) * gap
     missed -= np.round(missed / fold) * fold if math.isfinite(fold) else 0.0
-    gone = at[comparable & (np.abs(missed) > allowed)]
-    lost[gone] = True
-    raw.note("counts-lost", gone, "the counter lost counts in the gap; the phase is new")
+    missing = comparable & (np.abs(missed) > allowed)
+    raw.note("counts-lost", at[missing], "the counter lost counts in the gap; the phase is new")
+    lost[at[reset | missing]] = True
 
 
 def _split_lost(
