@@ -43,14 +43,14 @@ def test_unknown_id_names_the_known_ones(capsys):
 
 @pytest.mark.long
 def test_out_writes_page_and_pictures(tmp_path):
-    assert exit_code("reproduce", "--only", "mounting", "--out", tmp_path / "new") == 0
+    assert exit_code("reproduce", "--only", "closed-forms", "--out", tmp_path / "new") == 0
     assert sorted(path.name for path in (tmp_path / "new" / "figures").iterdir()) == [
-        "mounting-skew.png",
-        "mounting-skew.svg",
+        "closed-forms-varying.png",
+        "closed-forms-varying.svg",
     ]
     page = (tmp_path / "new" / "reproduction.html").read_text(encoding="utf-8")
-    assert "mounting-skew" in page
-    assert "least skew against the load" in page
+    assert "closed-forms-varying" in page
+    assert "rate where form and integrator differ most" in page
 
 
 def test_disagreement_ends_with_exit_code_1(monkeypatch):

@@ -101,18 +101,13 @@ def reproduce(
 
     Shows published value, computed value, difference and verdict. Exits with 1 if one disagrees.
     """
+    from piga import studies
     from piga.reports.render.page import page_text
-    from piga.studies import Reproduction, chosen, run_chapters
     from piga.studies.reproduction import brief
 
-    names = chosen(only)
     with deliver(out, "reproduce", ("reproduction.html", "figures/*"), (), force=force, as_json=json) as to:
-        chapters = []
-        with progress("reproducing", len(names)) as show:
-            for chapter in run_chapters(names):
-                chapters.append(chapter)
-                show(len(chapters), len(names), chapter.id)
-        reproduction = Reproduction(tuple(chapters))
+        with progress("reproducing") as show:
+            reproduction = studies.reproduce(only, progress=show)
         if out is not None:
             _write(reproduction, to.stage)
         to.tell(reproduction.document, lambda: page_text(brief(reproduction)))

@@ -9,7 +9,7 @@
 from piga.studies.capstone import Capstone, capstone, capstone_figure
 from piga.studies.case import Case, Chapter, published_recursion
 from piga.studies.constant import published_closed_form
-from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce, run_chapters
+from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce
 
 __all__ = [
     "CHAPTERS",
@@ -23,5 +23,4 @@ __all__ = [
     "published_closed_form",
     "published_recursion",
     "reproduce",
-    "run_chapters",
 ]

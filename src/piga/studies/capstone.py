@@ -19,7 +19,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.platform.chain import Preparation, prepare
@@ -28,14 +27,12 @@ from piga.platform.scenario import PigaSensors, PlatformScenario
 from piga.platform.simulate import (
     TRIPOD,
     PlatformRun,
-    gimbal_angles,
     locked,
     mounting_axes,
-    read_increments,
     simulate,
 )
 from piga.progress import Progress, Steps
-from piga.reports.platform.figures import HOUR, MINUTE, schuler_peak, time_axis
+from piga.reports.platform.figures import HOUR, schuler_peak, time_axis
 from piga.reports.platform.page import page
 from piga.reports.render.figure import XYZ, Figure, Plot, Role
 from piga.reports.render.numbers import short
@@ -67,20 +64,14 @@ class CapstoneOutcome(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Passage(Result):
-    """One instrument through its locked zone.
+    """One instrument through its locked zone, with half an hour before and after.
 
-    ``times`` [s]; ``true``, ``raw`` and ``triad`` reading of a_x [m/s^2]; ``half_width`` of the zone [m/s^2];
-    ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
+    ``part``: its samples; ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
     predicts for one passage [m/s].
     """
 
     instrument: int
-    times: Array
-    true: Array
-    raw: Array
-    triad: Array
-    half_width: float
-    locked: NDArray[np.bool_]
+    part: slice
     lock_time: float
     velocity_error: float
 
@@ -197,38 +188,20 @@ def passage_velocity(half_width: float, scale_factor: float, slope: float) -> fl
 
 
 def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
-    """The first passage of any instrument through its locked zone, with half an hour before and after."""
+    """The first passage of any instrument through its locked zone."""
     inside = locked(sensors, run.truth.force)
     if not inside.any():
         return None
     first = int(np.argmax(inside.any(axis=1)))
     instrument = int(np.argmax(inside[first]))
-    step = run.readouts.step
-    margin = round(1800.0 / step)
+    margin = round(1800.0 / run.readouts.step)
     part = slice(max(0, first - margin), min(len(inside) - 1, first + margin) + 1)
     times, force = run.readouts.times[part], run.truth.force[part]
-    whole = slice(0, part.stop)
-    still = np.zeros((part.stop - 1, 3))
-    alpha = gimbal_angles(sensors, run.readouts.times[whole], run.truth.force[whole], still)[:, part]
-    axis = mounting_axes(sensors)[instrument, 0]
-    read = {
-        output: read_increments(msgspec.structs.replace(sensors, output=output), times, alpha) @ axis / step
-        for output in ("raw", "triad")
-    }
-    along = force @ axis
+    along = force @ mounting_axes(sensors)[instrument, 0]
     width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
     slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
-    return Passage(
-        instrument=instrument,
-        times=times[1:],
-        true=0.5 * (along[1:] + along[:-1]),
-        raw=read["raw"],
-        triad=read["triad"],
-        half_width=width,
-        locked=inside[part][1:, instrument],
-        lock_time=1.0 / (sensors.scale_factor * width),
-        velocity_error=passage_velocity(width, sensors.scale_factor, slope),
-    )
+    K = sensors.scale_factor
+    return Passage(instrument, part, 1.0 / (K * width), passage_velocity(width, K, slope))
 
 
 def _force_day_figure(capstone: Capstone) -> Figure:
@@ -244,27 +217,6 @@ def _force_day_figure(capstone: Capstone) -> Figure:
     return plot.caption(
         "Three axes at right angles round the pole. Each crosses zero twice a day, "
         f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it."
-    )
-
-
-def _passage_figure(capstone: Capstone) -> Figure | None:
-    """One passage through the locked zone: true force, raw output, solved output."""
-    p = capstone.passage
-    if p is None:
-        return None
-    minutes = (p.times - p.times[0]) / MINUTE
-    edge = np.full_like(minutes, 1e3 * p.half_width)
-    plot = Plot("fig-passage", f"Instrument {p.instrument + 1} passes its locked zone", height=2.6)
-    plot.panel("time [min]", "force along the input axis [mm/s^2]")
-    plot.band(minutes, -edge, edge, "locked zone", "warning")
-    plot.dashed(minutes, 1e3 * p.true, "true").line(minutes, 1e3 * p.raw, "raw output", "before")
-    plot.panel("time [min]", "error of the reading [mm/s^2]")
-    plot.line(minutes, 1e3 * (p.raw - p.true), "raw output", "before")
-    plot.line(minutes, 1e3 * (p.triad - p.true), "triad solved", "after")
-    return plot.caption(
-        "The gimbal turns ever more slowly towards the zone, and its cross-coupling, else "
-        "averaged over each turn, keeps one sign for minutes. Solving the three instruments with "
-        "their effective axes gives the force back."
     )
 
 
@@ -307,10 +259,9 @@ def capstone_page(capstone: Capstone) -> Page:
         f"instruments give the force back in any mounting: {short(solved.position)} m, against "
         f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
     )
-    day = (_force_day_figure(capstone), _passage_figure(capstone))
     sections = (
         Section("What happens", "story", (story, capstone_figure(capstone), _capstone_table(capstone))),
-        Section("Why", "why", day),
+        Section("Why", "why", (_force_day_figure(capstone),)),
     )
     return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
 

@@ -11,7 +11,6 @@ from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
-from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from piga._kernels.jit import kernel
@@ -28,8 +27,8 @@ from piga.units import G0
 Verdict = Literal["pass", "fail", "info"]
 
 
-class PublishedCase(TomlTable, frozen=True):
-    """A published number, as ``published.toml`` has it.
+class Case(TomlTable, frozen=True):
+    """A published number, as ``published.toml`` has it, beside that of piga.
 
     Attributes
     ----------
@@ -45,6 +44,8 @@ class PublishedCase(TomlTable, frozen=True):
         Largest difference that counts as agreement; None if the numbers are not comparable (verdict ``info``).
     limit:
         True: the publication prints an upper limit. Any size from zero up to it agrees.
+    id, computed:
+        Name of the chapter, a dot, the name of the case; and the number of piga. Both come from the run.
     """
 
     source: str
@@ -54,13 +55,8 @@ class PublishedCase(TomlTable, frozen=True):
     published: float | None = None
     tolerance: float | None = None
     limit: bool = False
-
-
-class Case(PublishedCase, frozen=True, kw_only=True):
-    """A published number beside that of piga: ``id`` is the name of the chapter, a dot, the name of the case."""
-
-    id: str
-    computed: float
+    id: str = ""
+    computed: float = math.nan
 
     @property
     def difference(self) -> float | None:
@@ -100,7 +96,7 @@ class PublishedChapter(TomlTable, frozen=True):
     title: str
     source: str
     text: str
-    cases: dict[str, PublishedCase]
+    cases: dict[str, Case]
 
 
 @cache
@@ -131,13 +127,16 @@ def chapter_of(
     for key, case in printed.cases.items():
         given = values[key]
         value = given if isinstance(given, Value) else Value(given)
-        own = {
-            key: getattr(value, key) for key in ("published", "tolerance") if getattr(value, key) is not None
+        of_run = {
+            "published": case.published if value.published is None else value.published,
+            "tolerance": case.tolerance if value.tolerance is None else value.tolerance,
+            "quantity": case.quantity.format(**value.words),
+            "note": case.note.format(**value.words),
         }
-        own |= {key: getattr(case, key).format(**value.words) for key in ("quantity", "note")}
-        cases.append(Case(**asdict(case) | own, id=f"{name}.{key}", computed=value.computed))
-    text = printed.text.format(**words)
-    return Chapter(name, printed.title, printed.source, text, tuple(cases), tuple(figures))
+        cases.append(msgspec.structs.replace(case, id=f"{name}.{key}", computed=value.computed, **of_run))
+    return Chapter(
+        name, printed.title, printed.source, printed.text.format(**words), tuple(cases), tuple(figures)
+    )
 
 
 SCALE: Final = "0.8884 rad/s/g"
@@ -149,11 +148,6 @@ RATIO: Final = TRANSVERSE * INSTRUMENT.tan_beta
 """r of the time-varying run, and a_x of the critical example [g]."""
 RAMP_TOP: Final = 2.06
 """a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
-
-
-def example_force(a_x: float) -> tuple[float, float, float]:
-    """Specific force of an example [m/s^2]: ``a_x`` [g] and the transverse force of all of them."""
-    return a_x * G0, TRANSVERSE * G0, 0.0
 
 
 ForceHistory = Literal["ramp", "constant"]
@@ -289,7 +283,7 @@ def published_recursion(
     total = _recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, marks, history)
     state[1] += direction
     history[:, 1] += direction
-    values = {"sample": marks.astype(float)} | {name: history[:, i] for i, name in enumerate(names)}
+    values = {"sample": marks.astype(float), **dict(zip(names, history.T, strict=True))}
     if state[0] < 0.0:
         state[0], state[1] = -state[0], state[1] + np.pi
     state[1] = math.remainder(state[1], 2.0 * math.pi)

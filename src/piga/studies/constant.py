@@ -1,4 +1,4 @@
-r"""Constant input: the published closed forms, the four examples, and cases where the textbook period fails [Wei2020].
+r"""The published closed forms, the four examples, the textbook period, and forms under varying input [Wei2020], [Wei2024].
 
 The published forms under constant input, one for each regime, for comparison.
 
@@ -32,15 +32,14 @@ from piga.instrument import (
     propagate,
     revolution_period,
 )
-from piga.reports.render.figure import XYZ, Figure, Plot
-from piga.results import Array, Result
-from piga.studies.case import INSTRUMENT, RATIO, Chapter, Value, chapter_of, example_force
+from piga.reports.render.figure import Plot
+from piga.results import Array
+from piga.studies.case import INSTRUMENT, RATIO, TRANSVERSE, Chapter, Value, chapter_of
 from piga.units import G0
 
-DURATION = 100.0
-_STEP = 0.05
 _LATE = 1e4
 _DOTS = 40
+_SWING, _PERIOD = 0.6, 15.0
 
 
 FormNumber = Literal[1, 2, 3, 4]
@@ -130,104 +129,118 @@ def published_closed_form(
 
 @dataclass(frozen=True)
 class Example:
-    """One example of [Wei2020]: number of its form, regime and a_x [g]."""
+    """A force of constant direction: number of its published form, title, a_x, a_Y and a_Z [g] at the mean of the swing."""
 
     number: FormNumber
-    regime: str
-    a_x: float
+    title: str
+    in_g: tuple[float, float, float]
 
     @property
     def force(self) -> tuple[float, float, float]:
         """Specific force [m/s^2]."""
-        return example_force(self.a_x)
+        x, y, z = self.in_g
+        return x * G0, y * G0, z * G0
 
 
 EXAMPLES = (
-    Example(1, "zero input", 0.0),
-    Example(2, "critical", RATIO),
-    Example(3, "locked", 0.01),
-    Example(4, "running", 1.0),
+    Example(1, "zero input", (0.0, TRANSVERSE, 0.0)),
+    Example(2, "critical", (RATIO, TRANSVERSE, 0.0)),
+    Example(3, "locked", (0.01, TRANSVERSE, 0.0)),
+    Example(4, "running", (1.0, TRANSVERSE, 0.0)),
+)
+_SWUNG = (
+    Example(1, "a_x = 0, a_Y and a_Z vary", (0.0, 3.0, 4.0)),
+    Example(2, "a_x = a_t tan(beta)", (RATIO, TRANSVERSE, 0.0)),
+    Example(3, "a_x = 0.4 a_t tan(beta)", (0.4 * RATIO, TRANSVERSE, 0.0)),
+    Example(4, "a_x = 0.2 a_t", (0.2 * TRANSVERSE, TRANSVERSE, 0.0)),
 )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Solved(Result):
-    """One example solved three ways at times ``t`` [s]: angle [rad] and rate [rad/s]."""
+def swing(t: ArrayLike, size: float) -> Array:
+    """Common factor of all components: 1 + size sin(2 pi t / 15 s). The ratio is constant, the size varies."""
+    return np.asarray(1.0 + size * np.sin(2.0 * np.pi * np.asarray(t) / _PERIOD))
+
+
+def _integrated(example: Example, t: Array, size: float = 0.0) -> tuple[Array, Array]:
+    """Angle [rad] and rate [rad/s] by SciPy's DOP853 under the force times its swing."""
+    from scipy.integrate import solve_ivp
+
+    def rate(time: float | Array, alpha: Array) -> Array:
+        a_x, a_Y, a_Z = np.multiply.outer(np.array(example.force), swing(time, size))
+        coupling = INSTRUMENT.tan_beta * (a_Y * np.sin(alpha) - a_Z * np.cos(alpha))
+        return np.asarray(INSTRUMENT.scale_factor * (a_x + coupling))
+
+    start = [INSTRUMENT.alpha0]
+    run = solve_ivp(rate, (0.0, float(t[-1])), start, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-13)
+    return run.y[0], rate(t, run.y[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """One example solved four ways at times ``t`` [s]: angle [rad], rate [rad/s], or both."""
 
     t: Array
     closed: tuple[Array, Array]
-    sampled: tuple[Array, Array]
+    sampled: Array
     integrated: tuple[Array, Array]
     published: Array
+
+    def worst(self) -> Value:
+        """The published rate beside the integrated one where they differ most [deg/s]."""
+        return _worst(self.t, self.published, self.integrated[1])
+
+
+def _worst(t: Array, published: Array, integrated: Array) -> Value:
+    at = int(np.argmax(np.abs(published - integrated)))
+    degrees = math.degrees(integrated[at]), math.degrees(published[at])
+    return Value(degrees[0], published=degrees[1], words={"t": t[at]})
 
 
 @cache
 def solved(example: Example) -> Solved:
     """Solve an example with piga's closed form, piga's propagator for records, SciPy's DOP853, and the published form."""
-    t = np.linspace(0.0, DURATION, round(DURATION / _STEP) + 1)
+    t = np.linspace(0.0, 100.0, 2001)
     f = np.tile(np.array(example.force), (t.size, 1))
-    sampled = propagate(INSTRUMENT, t, f, with_rate=True, between="linear")
+    sampled = propagate(INSTRUMENT, t, f, between="linear")
     closed = closed_form(INSTRUMENT, t, *example.force)
     _, published = published_closed_form(example.number, INSTRUMENT, t, *example.force)
     return Solved(t, closed, sampled, _integrated(example, t), published)
 
 
-def _integrated(example: Example, t: Array) -> tuple[Array, Array]:
-    from scipy.integrate import solve_ivp
-
-    a, b = (INSTRUMENT.scale_factor * v for v in (example.force[0], example.force[1] * INSTRUMENT.tan_beta))
-    solution = solve_ivp(
-        lambda _t, alpha: [a + b * math.sin(alpha[0])],
-        (0.0, DURATION),
-        [INSTRUMENT.alpha0],
-        method="DOP853",
-        t_eval=t,
-        rtol=1e-12,
-        atol=1e-13,
-    )
-    return solution.y[0], a + b * np.sin(solution.y[0])
-
-
 def examples() -> Chapter:
     """Rate against time in the four regimes, with the ideal line."""
     values: dict[str, float | Value] = {}
+    plot = Plot("constant-input-rates", "Output rate under constant input, four regimes", columns=2, height=2.5)
     for example in EXAMPLES:
         name, solution = f"example-{example.number}", solved(example)
-        at = int(np.argmax(np.abs(solution.published - solution.integrated[1])))
-        values[f"{name}.ideal"] = math.degrees(INSTRUMENT.scale_factor * example.force[0])
-        values[f"{name}.form"] = Value(
-            math.degrees(solution.integrated[1][at]),
-            published=math.degrees(solution.published[at]),
-            words={"t": solution.t[at]},
-        )
-        values[f"{name}.agreement"] = max(
-            float(np.abs(angle - solution.integrated[0]).max())
-            for angle, _ in (solution.closed, solution.sampled)
-        )
+        angles, ideal = (solution.closed[0], solution.sampled), INSTRUMENT.scale_factor * example.force[0]
+        values[f"{name}.ideal"] = math.degrees(ideal)
+        values[f"{name}.form"] = solution.worst()
+        values[f"{name}.agreement"] = max(float(np.abs(a - solution.integrated[0]).max()) for a in angles)
         if example.number == 4:
             values[f"{name}.mean"] = math.degrees(float(mean_rate(INSTRUMENT, *example.force)))
         else:
             values[f"{name}.end"] = math.degrees(float(closed_form(INSTRUMENT, _LATE, *example.force)[1]))
-    return chapter_of("constant-input", values, (_rate_figure(),))
-
-
-def _rate_figure() -> Figure:
-    plot = Plot("constant-input-rates", "Output rate under constant input, four regimes", columns=2, height=2.5)
-    for example in EXAMPLES:
-        solution = solved(example)
-        shown = solution.t <= (20.0 if example.number == 4 else DURATION)
-        shown &= np.arange(solution.t.size) % 5 == 0
-        t = solution.t[shown]
-        dots = slice(None, None, max(1, t.size // _DOTS))
-        title = f"{example.number}  {example.regime}: a_x = {example.a_x:.5g} g"
-        plot.panel("time [s]", "output rate [deg/s]", title)
-        plot.level([0.0, t[-1]], math.degrees(INSTRUMENT.scale_factor * example.force[0]), "ideal: K a_x")
-        plot.line(t, np.degrees(solution.closed[1][shown]), "cross-coupled: closed form", "after")
-        plot.points(t[dots], np.degrees(solution.published[shown][dots]), "published form", "before")
-    return plot.caption(
+        drawn = slice(0, 401 if example.number == 4 else None, 5)
+        plot.panel(
+            "time [s]",
+            "output rate [deg/s]",
+            f"{example.number}  {example.title}: a_x = {example.in_g[0]:.5g} g",
+        )
+        curves = solution.t, np.full_like(solution.t, ideal), solution.closed[1], solution.published
+        _draw_rates(plot, "cross-coupled: closed form", *(one[drawn] for one in curves))
+    figure = plot.caption(
         "Dashed: what an ideal instrument would turn. In regimes 1 to 3 the rate dies although in 2 and 3 there is "
         "specific force along the input axis; in regime 4 it swings about a mean just below the ideal line."
     )
+    return chapter_of("constant-input", values, (figure,))
+
+
+def _draw_rates(plot: Plot, name: str, t: Array, ideal: Array, exact: Array, published: Array) -> None:
+    dots = slice(None, None, max(1, t.size // _DOTS))
+    plot.dashed(t, np.degrees(ideal), "ideal: K a_x")
+    plot.line(t, np.degrees(exact), name, "after")
+    plot.points(t[dots], np.degrees(published[dots]), "published form", "before")
 
 
 def period() -> Chapter:
@@ -248,43 +261,26 @@ def period() -> Chapter:
         left = 2.0 / (INSTRUMENT.scale_factor * example.force[0] * _LATE) if example.number == 2 else 0.0
         end = float(closed_form(INSTRUMENT, _LATE, *example.force)[0])
         values[f"rest-{example.number}"] = Value(end + left, published=rest)
-    return chapter_of("period", values, (_rest_figure(),))
+    return chapter_of("period", values, ())
 
 
-def _rest_figure() -> Figure:
-    t = np.linspace(0.0, 600.0, 1201)
-    plot = Plot(
-        "period-and-rest", "Where the textbook period fails, and what happens instead", columns=2, height=3.0
+def varying() -> Chapter:
+    """The four closed forms hold for time-varying input with a constant ratio of its components."""
+    values: dict[str, float | Value] = {}
+    title = "The four forms under time-varying input at a constant ratio"
+    plot = Plot("closed-forms-varying", title, columns=2, height=2.4)
+    t = np.linspace(0.0, 60.0, 601)
+    slope, factor = 2.0 * np.pi / _PERIOD, swing(t, _SWING)
+    swung = t + _SWING / slope * (1.0 - np.cos(slope * t))  # the integral of the factor replaces the time
+    for example in _SWUNG:
+        _, exact = _integrated(example, t, _SWING)
+        published = published_closed_form(example.number, INSTRUMENT, swung, *example.force)[1] * factor
+        values[f"form-{example.number}"] = _worst(t, published, exact)
+        drawn = slice(0, 251 if example.number == 4 else None)
+        ideal = INSTRUMENT.scale_factor * example.force[0] * factor
+        plot.panel("time [s]", "output rate [deg/s]", f"{example.number}  {example.title}")
+        _draw_rates(plot, "integrated", *(one[drawn] for one in (t, ideal, exact, published)))
+    figure = plot.caption(
+        "Points: published form. Line: the equation of motion integrated numerically (DOP853)."
     )
-    plot.panel("time [s]", "outer-gimbal angle [deg]", "No revolution: regimes 1-3")
-    for example in EXAMPLES[:3]:
-        rest = math.degrees(float(fixed_points(INSTRUMENT, *example.force)[0])) % 360.0
-        plot.level(t, rest, "where it rests", "muted")
-    for example, role in zip(EXAMPLES[:3], XYZ, strict=True):
-        alpha = np.degrees(closed_form(INSTRUMENT, t, *example.force)[0])
-        plot.line(t, alpha, f"{example.number} {example.regime}", role)
-    border = float(dead_zone(INSTRUMENT, *EXAMPLES[2].force[1:])[1])
-    a_x = border * np.concatenate((1.0 + np.geomspace(1e-4, 3.0, 400), np.geomspace(4.0, 40.0, 60)))
-    a_t = EXAMPLES[2].force[1]
-    measured = np.array([_measured_period(float(a), a_t) for a in a_x[::20]])
-    plot.panel("log specific force a_x [g]", "log time of a revolution [s]", "Revolving: regime 4")
-    plot.line(a_x / G0, revolution_period(INSTRUMENT, a_x, a_t, 0.0), "textbook period", "after")
-    plot.points(a_x[::20] / G0, measured, "period of the motion", "before")
-    plot.dashed(a_x / G0, 2.0 * np.pi / (INSTRUMENT.scale_factor * a_x), "ideal: 2 pi / (K a_x)")
-    return plot.caption(
-        "Left: the gimbal creeps to a resting angle and has no period. Right: towards the border a_t tan(beta) the "
-        "period grows without bound; the formula is right for every running input."
-    )
-
-
-def _measured_period(a_x: float, a_Y: float) -> float:
-    """Time [s] of ten revolutions of the exact motion, divided by ten. It comes from a root search, not from the formula."""
-    from scipy.optimize import brentq
-
-    def missing(t: float) -> float:
-        return float(closed_form(INSTRUMENT, t, a_x, a_Y, 0.0)[0]) - INSTRUMENT.alpha0 - 20.0 * math.pi
-
-    late = 20.0 * math.pi / (INSTRUMENT.scale_factor * a_x)
-    while missing(late) < 0.0:
-        late *= 2.0
-    return float(brentq(missing, 0.0, late, xtol=1e-9 * late)) / 10.0
+    return chapter_of("closed-forms", values, (figure,))

@@ -1,4 +1,4 @@
-"""Recursive calibration, compensation with its result [Wei2024], and the errors in the publications, shown by numbers."""
+"""The time-varying run of [Wei2024]: its error, the skew that avoids locking, calibration, compensation; and the errata."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piga.instrument import closed_form, propagate
+from piga.instrument import closed_form, dead_zone, mean_rate, propagate
 from piga.records import Calibration
 from piga.reports.render.figure import Figure, Plot, Role
 from piga.results import Array
@@ -17,12 +17,10 @@ from piga.studies.case import (
     RATIO,
     TRANSVERSE,
     Chapter,
-    ForceHistory,
     Value,
     chapter_of,
     closed_form_phase,
     compensated_error,
-    example_force,
     model_phase,
     model_residual,
     own_calibration,
@@ -33,10 +31,74 @@ from piga.studies.case import (
 )
 from piga.studies.constant import EXAMPLES, published_closed_form
 from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
-from piga.units import ARCMIN
+from piga.units import ARCMIN, ARCSEC, G0
 
 _PUBLISHED_TAN_BETA, _PUBLISHED_PHASE = 4.848e-3, 0.802
 _LATE = 20.0
+_EVERY = 20
+"""Every 20th sample of the run is drawn: at least seventeen per revolution."""
+
+
+def run() -> Chapter:
+    """a_Y = 5 a_x with a_x up to about 2 g: indicated against true acceleration."""
+    log = record("ramp")
+    error = raw_error(log)
+    late = log.f[:, 0] > 0.5 * RAMP_TOP * G0
+    values = {
+        "error": float(np.abs(error).max()),
+        "growth": float(np.abs(error[late] / (log.f[late, 0] / G0)).max()),
+    }
+    return chapter_of("time-varying", values, (_run_figure(error),))
+
+
+def _run_figure(error: Array) -> Figure:
+    log = record("ramp")
+    drawn = slice(None, None, _EVERY)
+    a_x, error = log.f[drawn, 0] / G0, error[drawn]
+    indicated = a_x + error
+    plot = Plot("time-varying-run", "Indicated against true acceleration, a_Y = 5 a_x", columns=2, height=2.6)
+    close = a_x > RAMP_TOP - 0.25
+    for part, ends, title in (
+        (slice(None), np.array([0.0, RAMP_TOP]), "Indicated against true"),
+        (close, a_x[close][[0, -1]], "The last quarter of a g"),
+    ):
+        plot.panel("true acceleration a_x [g]", "indicated acceleration [g]", title)
+        plot.dashed(ends, ends, "ideal").line(a_x[part], indicated[part], "indicated", "before")
+    plot.panel("true acceleration a_x [g]", "error [g]", "Error against the input")
+    plot.band(a_x, -RATIO * a_x, RATIO * a_x, "envelope 5 a_x tan(beta)")
+    plot.line(a_x, error, "error of the indication", "after")
+    plot.panel("revolutions of the gimbal", "error [g]", "One period a revolution")
+    plot.line(model_phase(log)[drawn] / (2.0 * np.pi), error, "error of the indication", "after")
+    return plot.caption(
+        "The error reaches 0.05 g at 2 g and repeats with each revolution: on the whole range the indication looks right."
+    )
+
+
+def mounting() -> Chapter:
+    """Skew that keeps a_x^2 > a_t^2 tan^2(beta)."""
+    load = TRANSVERSE * G0
+    values = {
+        "least-skew": math.atan(float(dead_zone(INSTRUMENT, load, 0.0)[1]) / load) / ARCSEC,
+        "moves": _revolving_skew(load),
+        "shortfall": _shortfall(10.0 * INSTRUMENT.beta, load),
+    }
+    return chapter_of("mounting", values, ())
+
+
+def _shortfall(skew: float, load: float) -> float:
+    a_x = load * math.sin(skew)
+    return 1.0 - float(mean_rate(INSTRUMENT, a_x, load * math.cos(skew), 0.0)) / (INSTRUMENT.scale_factor * a_x)
+
+
+def _revolving_skew(load: float) -> float:
+    """Least skew [arcsec] at which the exact motion makes one revolution within 50 000 s."""
+    from scipy.optimize import brentq
+
+    def missing(skew: float) -> float:
+        force = load * math.sin(skew * ARCSEC), load * math.cos(skew * ARCSEC), 0.0
+        return float(closed_form(INSTRUMENT, 5e4, *force)[0]) - INSTRUMENT.alpha0 - 2.0 * math.pi
+
+    return float(brentq(missing, 500.0, 2000.0, xtol=1e-4))
 
 
 def recursion() -> Chapter:
@@ -56,34 +118,17 @@ def recursion() -> Chapter:
         "constant-phi": wrong_phi,
         "constant-own": constant_ours["tan_beta"].value - INSTRUMENT.tan_beta,
     }
-    figures = (
-        _history_figure(
-            "recursion-history",
-            "Recursive calibration: history of the estimates",
-            "ramp",
-            "The published recursion settles within 20 s; its phase then drifts with the run, through the printed 0.802 rad, and "
-            "would go on below the truth in a longer one. The linear estimator is at "
-            "the truth as soon as there are more samples than unknowns (noiseless data).",
-        ),
-        _history_figure(
-            "recursion-constant",
-            "The wrong convergence from a constant input",
-            "constant",
-            "a_x = 2.06 g throughout: the recursion ends at a negative tan(beta) of about half the true size, more than half a "
-            "turn away in phase, and stays there. The linear estimator has one optimum.",
-        ),
-    )
-    return chapter_of("recursion", values, figures)
+    return chapter_of("recursion", values, (_history_figure(),))
 
 
-def _history_figure(key: str, title: str, profile: ForceHistory, caption: str) -> Figure:
+def _history_figure() -> Figure:
     """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
-    t = record(profile).t
+    t = record("ramp").t
     estimates: tuple[tuple[Calibration, str, Role], ...] = (
-        (published_calibration(profile), "published recursion", "before"),
-        (own_calibration(profile), "linear estimator, no first guess", "after"),
+        (published_calibration("ramp"), "published recursion", "before"),
+        (own_calibration("ramp"), "linear estimator, no first guess", "after"),
     )
-    plot = Plot(key, title, columns=2, height=2.3)
+    plot = Plot("recursion-history", "Recursive calibration: history of the estimates", columns=2, height=2.3)
     for name, scale, y, true, printed in (
         ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, _PUBLISHED_TAN_BETA),
         ("phi", 1.0, "phi [rad]", INSTRUMENT.alpha0, _PUBLISHED_PHASE),
@@ -98,7 +143,11 @@ def _history_figure(key: str, title: str, profile: ForceHistory, caption: str) -
                 when = t[history["sample"].astype(int) - 1]
                 shown = when >= begin
                 plot.line(when[shown], scale * history[name][shown], label, role)
-    return plot.caption(caption)
+    return plot.caption(
+        "The published recursion settles within 20 s; its phase then drifts with the run, through the printed 0.802 rad, and "
+        "would go on below the truth in a longer one. The linear estimator is at "
+        "the truth as soon as there are more samples than unknowns (noiseless data)."
+    )
 
 
 def compensation() -> Chapter:
@@ -143,13 +192,13 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
     )
 
 
-def _phase_walk() -> tuple[Array, Array, Array]:
-    """Time [s], phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
+def _phase_walk() -> tuple[Array, Array]:
+    """Phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
     log = record("ramp")
     alpha = propagate(INSTRUMENT, log.t, log.f, between="linear")
     predicted = model_phase(log)
     constant, lead = closed_form_phase()
-    return log.t, predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
+    return predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
 
 
 def _misread_phase_error() -> float:
@@ -171,7 +220,7 @@ def errata() -> Chapter:
     return chapter_of(
         "errata",
         values,
-        (_sign_figure(), _phase_figure()),
+        (),
         least_sign=min(signs),
         most_sign=max(signs),
         square=computed["square"],
@@ -186,21 +235,16 @@ def errata() -> Chapter:
     )
 
 
-def _negative(case: int, *, as_published: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Rates [rad/s] at ``_T`` for the example's a_x turned negative: form and exact motion."""
-    example = EXAMPLES[case - 1]
-    force = example_force(-example.a_x)
-    _, rate = published_closed_form(example.number, INSTRUMENT, _T, *force, as_published=as_published)
-    return rate, closed_form(INSTRUMENT, _T, *force)[1]
-
-
 def _forms() -> dict[str, float | Value]:
-    """The lost sign and the lost square of the printed forms."""
+    """The lost sign and the lost square of the printed forms, for the a_x of the examples turned negative."""
     values: dict[str, float | Value] = {}
-    for number in (2, 3, 4):
-        for suffix, as_published in (("", True), ("-corrected", False)):
-            rate, exact = _negative(number, as_published=as_published)
-            values[f"sign-{number}{suffix}"] = float(np.abs(rate - exact).max())
+    for example in EXAMPLES[1:]:
+        a_x, a_Y, a_Z = example.force
+        force = -a_x, a_Y, a_Z
+        exact = closed_form(INSTRUMENT, _T, *force)[1]
+        for suffix, printed in (("", True), ("-corrected", False)):
+            _, rate = published_closed_form(example.number, INSTRUMENT, _T, *force, as_published=printed)
+            values[f"sign-{example.number}{suffix}"] = float(np.abs(rate - exact).max())
     with_square, without, exact = _critical_rates()
     values["square"] = float(without[0])
     values["square-corrected"] = float(np.abs(with_square - exact).max())
@@ -218,24 +262,18 @@ def _critical_rates() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _phase() -> dict[str, float | Value]:
     """The phase of the published model, and the phase printed in degrees."""
-    _, walk, predicted = _phase_walk()
+    walk, predicted = _phase_walk()
     calibration, (constant, lead) = published_calibration("ramp"), closed_form_phase()
-    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(_model_phase_error()).max())
+    shift = raw_state(calibration)[1] - (constant - lead)
+    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(walk + shift).max())
     left = float(np.abs(model_residual(record("ramp"), calibration)).max())
     return {
         "phase-walk": float(np.polyfit(predicted, walk, 1)[0]),
-        "phase-shift": raw_state(calibration)[1] - (constant - lead),
+        "phase-shift": shift,
         "phase-residual": Value(left, words={"bound": bound}),
         "degrees": math.degrees(constant - lead),
         "degrees-effect": _misread_phase_error(),
     }
-
-
-def _model_phase_error() -> np.ndarray:
-    """Phase of the published model, with its estimated phi, minus the true angle [rad]."""
-    _, walk, _ = _phase_walk()
-    constant, lead = closed_form_phase()
-    return walk - (constant - lead) + raw_state(published_calibration("ramp"))[1]
 
 
 def _platform() -> dict[str, float | Value]:
@@ -249,34 +287,3 @@ def _platform() -> dict[str, float | Value]:
         values[f"{c.channel}-published"] = 100.0 * (c.simulated * c.scale / theory - 1.0)
         values[f"{c.channel}-ours"] = 100.0 * (lines[c.channel] / theory - 1.0)
     return values
-
-
-def _sign_figure() -> Figure:
-    plot = Plot("errata-sign", "The sign defect: the printed forms for negative input", columns=3, height=2.6)
-    for number in (2, 3, 4):
-        wrong, exact = _negative(number, as_published=True)
-        shown = (15.0 if number == 4 else 60.0) >= _T
-        plot.panel("time [s]", "output rate [deg/s]", f"form {number}: a_x = {-EXAMPLES[number - 1].a_x:.4g} g")
-        plot.line(_T[shown], np.degrees(exact[shown]), "exact", "after")
-        plot.dashed(_T[shown], np.degrees(wrong[shown]), "as printed, |r|", "before")
-    return plot.caption(
-        "With |r| instead of the signed r, the printed forms start at a wrong rate and end at a wrong phase for a_x < 0."
-    )
-
-
-def _phase_figure() -> Figure:
-    residual = model_residual(record("ramp"), published_calibration("ramp"))[::20]
-    t, walk, predicted = (values[::20] for values in _phase_walk())
-    envelope = (
-        1e3 * TRANSVERSE * INSTRUMENT.tan_beta * RAMP_TOP * t / t[-1] * np.abs(_model_phase_error()[::20])
-    )
-    plot = Plot("errata-phase", "The phase of the published model drifts", height=2.3)
-    plot.panel("time [s]", "phase error [mrad]")
-    plot.line(t, 1e3 * walk, "model less motion", "before").dashed(t, 1e3 * predicted, "K V r^2 / 2")
-    plot.panel("time [s]", "residual [mg]")
-    plot.band(t, -envelope, envelope, "bound by the phase error")
-    plot.line(t, 1e3 * residual, "left by the calibration", "after")
-    return plot.caption(
-        "Above: the predicted phase runs ahead of the gimbal by K V r^2/2, with a ripple of r in each revolution. Below: the "
-        "residual of the published calibration stays within its phase error times 5 a_x tan(beta)."
-    )

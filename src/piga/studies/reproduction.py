@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from piga._version import __version__
@@ -20,18 +20,18 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
-from piga.studies import constant, five, platform, recursion, varying
+from piga.studies import constant, five, platform, recursion
 from piga.studies.case import Case, Chapter, Verdict
 
 CHAPTERS: dict[str, Callable[[], Chapter]] = {
     "constant-input": constant.examples,
     "period": constant.period,
-    "closed-forms": varying.forms,
-    "time-varying": varying.run,
+    "closed-forms": constant.varying,
+    "time-varying": recursion.run,
     "recursion": recursion.recursion,
     "compensation": recursion.compensation,
     "five-coefficients": five.chapter,
-    "mounting": varying.mounting,
+    "mounting": recursion.mounting,
     "redundancy-angle": platform.table,
     "drift-coupling": platform.coupling,
     "ten-days": platform.ten_days,
@@ -107,12 +107,6 @@ def reproduce(only: str | None = None, *, progress: Progress | None = None) -> R
         chapters.append(CHAPTERS[name]())
     steps.finish()
     return Reproduction(tuple(chapters))
-
-
-def run_chapters(names: list[str]) -> Iterator[Chapter]:
-    """Yield the chapters one by one as they finish."""
-    for name in names:
-        yield CHAPTERS[name]()
 
 
 TONES: dict[Verdict, Tone] = {"pass": "good", "fail": "bad", "info": "quiet"}
