@@ -21,10 +21,10 @@ from benchmarks.harness import put_down, rounds, seconds
 from tests.compensation.twin_data import calibration_of
 
 import piga
-from piga._kernels.compensation.sample import Rows
+from piga._kernels.compensation.sample import Rows, Samples
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation import Mounted, SetCompensator
-from piga.compensation.compensator import NO_RATES, NONE, Chunk, init_state, run_kernel
+from piga.compensation.compensator import NO_RATES, NONE, init_state, run_kernel
 from piga.compensation.model import Model, make_model
 from piga.compensation.result import write_rows
 
@@ -54,12 +54,11 @@ def in_memory() -> None:
     ax, dv, u, flags = np.empty(ROWS), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS, dtype=np.int32)
 
     def run(kind: str, full: bool, model: Model) -> Callable[[], object]:
-        output, angle = (data["rate"], data["psi"]) if kind == "rate" else (data["psi"], NONE)
-        marks = np.zeros(ROWS, np.bool_)
-        chunk = Chunk(data["t"], output, data["y"], data["z"], marks, NO_RATES, NONE, angle)
+        rate, marks = data["rate"] if kind == "rate" else NONE, np.zeros(ROWS, np.bool_)
+        chunk = Samples(data["t"], data["psi"], rate, data["y"], data["z"], marks, NO_RATES, NONE, NONE)
         u_ax, row_flags = (u, flags) if full else (NONE, NONE.astype(np.int32))
         result = Rows(ax, dv, u_ax, row_flags, np.zeros(SUMS))
-        return lambda: run_kernel(model, init_state(), chunk, kind, result)
+        return lambda: run_kernel(model, init_state(), chunk, result)
 
     works = {"copy": lambda: [np.copyto(b, a) for a, b in zip(source, target, strict=True)]}
     for title, kind, full in (

@@ -1,6 +1,6 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
-from piga.compensation.compensator import Chunk, Compensator, compensate
+from piga.compensation.compensator import Compensator, compensate
 from piga.compensation.files import compensate_set
 from piga.compensation.model import FLAGS, Limits, Phase
 from piga.compensation.phase import PhaseFinder, identify_phase
@@ -9,7 +9,6 @@ from piga.compensation.set_compensator import Mounted, SetCompensator
 
 __all__ = [
     "FLAGS",
-    "Chunk",
     "Compensated",
     "CompensatedSet",
     "Compensator",

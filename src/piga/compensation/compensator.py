@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -32,32 +31,10 @@ from piga.records.arrays import empty, spans
 from piga.records.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
-from piga.results import Array, Result
+from piga.results import Array
 
 NONE = np.zeros(0)
 NO_RATES = np.zeros((0, 3))
-_NO_MARKS = np.zeros(0, dtype=np.bool_)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Chunk(Result):
-    """Some samples in SI: ``t`` [s], ``output`` (psi [rad], or rate [rad/s]), ``a_Y``, ``a_Z`` [m/s^2].
-
-    ``begins`` marks samples that begin a stretch; ``base_rate`` (n, 3) [rad/s], ``temperature`` [K] and
-    ``vibration`` [m/s^2] may be empty. ``angle`` is the output angle [rad] recorded with a
-    rate. If empty, it is integrated from the rate.
-    All arrays are contiguous float64.
-    """
-
-    t: Array
-    output: Array
-    a_Y: Array
-    a_Z: Array
-    begins: NDArray[np.bool_]
-    base_rate: Array
-    temperature: Array
-    angle: Array
-    vibration: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def init_state() -> Any:
@@ -79,23 +56,9 @@ def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
     return begins_stretch(steps, float(state["nominal"][0]))
 
 
-def run_kernel(model: Model, state: Any, chunk: Chunk, kind: str, rows: Rows) -> None:
-    """Compensate the samples of a chunk into ``rows`` and update ``state`` in place."""
-    output = chunk.output if model.scale == 1.0 else model.scale * chunk.output
-    psi, rate = (output, NONE) if kind == "angle" else (chunk.angle, output)
-    samples = Samples(
-        chunk.t,
-        psi,
-        rate,
-        chunk.a_Y,
-        chunk.a_Z,
-        chunk.begins,
-        chunk.base_rate,
-        chunk.temperature,
-        chunk.vibration,
-    )
-    work = np.empty(at.MOST_TERMS if rows.u.size else 0)
-    row = at.records(1, at.ROW)
+def run_kernel(model: Model, state: Any, samples: Samples, rows: Rows) -> None:
+    """Compensate samples into ``rows`` and update ``state`` in place."""
+    work, row = np.empty(at.MOST_TERMS if rows.u.size else 0), at.records(1, at.ROW)
     compensate_record(samples, model.instrument, model.more, model.base_flag, state, row, rows, work)
 
 
@@ -105,7 +68,12 @@ def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
     return Rows(empty(n), empty(n), empty(n if uncertainty else 0), marks, np.zeros(SUMS))
 
 
-_ROW_KEYS = ("t", "output", "f", "base_rate", "temperature", "begins", "angle", "vibration")
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "t": (), "output": (), "f": (3,), "base_rate": (3,), "temperature": (), "angle": (), "vibration": ()
+}  # fmt: skip
+"""Columns of a chunk, and the shape of a row of each."""
+_LOGGED = {"temperature": "K", "vibration": "m/s^2"}
+"""Columns that terms of the calibration need, and their units."""
 
 
 class Compensator:
@@ -213,7 +181,7 @@ class Compensator:
             self._models[segment] = model, np.zeros(SUMS)
         self._model, self._sums = self._models[segment]
 
-    def push(self, chunk: Mapping[str, ArrayLike] | Run | Chunk) -> Compensated:
+    def push(self, chunk: Mapping[str, ArrayLike] | Run) -> Compensated:
         """Compensate the next samples.
 
         Parameters
@@ -222,7 +190,7 @@ class Compensator:
             A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2]. Optional:
             ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] recorded with a rate,
             ``vibration`` (n,) [m/s^2], ``begins`` (n,). Single samples may be plain numbers. Or a :class:`piga.Run` that
-            continues the previous one, or a checked :class:`Chunk`. Without ``begins``, a stretch begins where time goes back or
+            continues the previous one. Without ``begins``, a stretch begins where time goes back or
             leaves a gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
 
         Raises
@@ -230,99 +198,88 @@ class Compensator:
         ArgumentError
             If a column is missing, has another length, or contains a number that is not finite.
         """
-        samples = chunk if isinstance(chunk, Chunk) else self._samples(self._columns(chunk))
-        rows = empty_rows(samples.t.size, self._uncertainty, self._flags)
-        self.push_into(samples, rows)
-        return Compensated(samples.t, *rows[:4], self.serial, self.method, self.notes)
+        columns = _checked(self._columns_of(chunk) if isinstance(chunk, Run) else chunk)
+        for name, needed in (("temperature", self.needs_temperature), ("vibration", self.needs_vibration)):
+            if needed and name not in columns:
+                raise ArgumentError(
+                    f"chunk: the key '{name}' is missing, and the calibration has {name} terms",
+                    remedy=f"add '{name}' [{_LOGGED[name]}], one value per time",
+                )
+        if "begins" not in columns:
+            columns["begins"] = find_begins(self._state, columns["t"])
+        rows = empty_rows(columns["t"].size, self._uncertainty, self._flags)
+        self.push_into(columns, rows)
+        return Compensated(columns["t"], *rows[:4], self.serial, self.method, self.notes)
 
-    def push_into(self, samples: Chunk, rows: Rows) -> None:
-        """Compensate the next samples into arrays that exist."""
+    def push_into(self, columns: Mapping[str, Any], rows: Rows) -> None:
+        """Compensate the next samples, arrays of float64, into arrays that exist."""
         before, rows = self._state.copy(), rows._replace(sums=self._sums.copy())
-        run_kernel(self._model, self._state, samples, self._kind, rows)
+        output, angle = columns["output"], columns.get("angle", NONE)
+        output = output if self._model.scale == 1.0 else self._model.scale * output
+        psi, rate = (output, NONE) if self._kind == "angle" else (angle, output)
+        samples = Samples(
+            columns["t"], psi, rate, np.ascontiguousarray(columns["f"][:, 1]), np.ascontiguousarray(columns["f"][:, 2]),
+            columns["begins"], np.ascontiguousarray(columns.get("base_rate", NO_RATES)),
+            columns.get("temperature", NONE),
+            columns.get("vibration", NONE),
+        )  # fmt: skip
+        run_kernel(self._model, self._state, samples, rows)
         if not math.isfinite(rows.dv.sum()):
             self._state = before
-            _check_finite(samples)
+            _check_finite(columns)
             raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
         self._sums[:] = rows.sums
         self._starts.add(rows.flags)
 
-    def _columns(self, chunk: Mapping[str, ArrayLike] | Run) -> Mapping[str, Any]:
-        """Columns of a chunk. A record has its own stretches; only its first sample is checked against the stream."""
-        if not isinstance(chunk, Run):
-            return chunk
+    def _columns_of(self, run: Run) -> dict[str, Any]:
+        """Columns of a record. It has its own stretches; only its first sample is checked against the stream."""
         if self._state["nominal"][0] == 0.0:
-            self._state["nominal"] = chunk.median_step
-        begins = chunk.begins.copy()
-        begins[:1] = find_begins(self._state, chunk.t[:1])
-        columns: dict[str, Any] = {"t": chunk.t, "output": chunk.output, "f": chunk.f, "begins": begins}
-        columns |= {} if chunk.base_rate is None else {"base_rate": chunk.base_rate}
-        columns |= {} if chunk.vibration is None else {"vibration": chunk.vibration}
-        return columns | ({} if chunk.temperature is None else {"temperature": chunk.temperature})
-
-    def _samples(self, columns: Mapping[str, Any]) -> Chunk:
-        unknown = [name for name in columns if name not in _ROW_KEYS]
-        missing = [name for name in _ROW_KEYS[:3] if name not in columns]
-        if unknown or missing:
-            what = f"lacks '{missing[0]}'" if missing else f"has the unknown key '{unknown[0]}'"
-            raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join(_ROW_KEYS)}")
-        t = np.atleast_1d(np.asarray(columns["t"], dtype=float))
-        n = t.size
-        output, force = _shaped(columns, "output", (n,)), _shaped(columns, "f", (n, 3))
-        temperature = _shaped(columns, "temperature", (n,), NONE)
-        vibration = _shaped(columns, "vibration", (n,), NONE)
-        for key, unit, lacks in (
-            ("temperature", "K", self._model.needs_temperature and not temperature.size),
-            ("vibration", "m/s^2", self._model.needs_vibration and not vibration.size),
-        ):
-            if lacks:
-                raise ArgumentError(
-                    f"chunk: the key '{key}' is missing, and the calibration has {key} terms",
-                    remedy=f"add '{key}' [{unit}], one value per time",
-                )
-        base_rate = _shaped(columns, "base_rate", (n, 3), NO_RATES)
-        angle = _shaped(columns, "angle", (n,), NONE)
-        given = columns.get("begins")
-        y, z = np.ascontiguousarray(force[:, 1]), np.ascontiguousarray(force[:, 2])
-        _check_finite(Chunk(t, output, y, z, _NO_MARKS, base_rate, temperature, angle, vibration))
-        begins = (
-            find_begins(self._state, t) if given is None else np.atleast_1d(np.asarray(given, dtype=np.bool_))
-        )
-        return Chunk(t, output, y, z, begins, base_rate, temperature, angle, vibration)
+            self._state["nominal"] = run.median_step
+        begins = run.begins.copy()
+        begins[:1] = find_begins(self._state, run.t[:1])
+        return _columns_of(run, slice(None)) | {"begins": begins}
 
 
-def _shaped(
-    columns: Mapping[str, Any], name: str, shape: tuple[int, ...], missing: Array | None = None
-) -> Array:
-    """A column of this shape; ``missing`` if it may be left out and is."""
-    if missing is not None and columns.get(name) is None:
-        return missing
-    rows = len(shape) > 1
-    given = np.asarray(columns[name], dtype=float)
-    values = np.ascontiguousarray(np.atleast_2d(given) if rows else np.atleast_1d(given))
-    if values.shape != shape:
-        raise ArgumentError(
-            f"chunk['{name}']: shape {values.shape} instead of {shape}",
-            remedy=f"one {'row' if rows else 'value'} per time",
-        )
-    return values
+def _columns_of(run: Run, rows: slice) -> dict[str, Any]:
+    """Columns of some rows of a record."""
+    whole = {name: getattr(run, name) for name in (*_SHAPES, "begins") if name != "angle"}
+    return {name: column[rows] for name, column in whole.items() if column is not None}
 
 
-def _check_finite(samples: Chunk) -> None:
-    """Refuse a sample that is not finite or so large that the result would not be finite; the message names it."""
-    named = {
-        "t": samples.t,
-        "output": samples.output,
-        "f": np.maximum(np.abs(samples.a_Y), np.abs(samples.a_Z)),
-    }
-    named |= {"base_rate": samples.base_rate, "temperature": samples.temperature, "angle": samples.angle}
-    named["vibration"] = samples.vibration
-    for name, values in named.items():
-        if values.size == 0:
+def _checked(chunk: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of a chunk as contiguous arrays with a row for each time; those that are None are left out."""
+    unknown = [name for name in chunk if name not in (*_SHAPES, "begins")]
+    missing = [name for name in ("t", "output", "f") if name not in chunk]
+    if unknown or missing:
+        what = f"lacks '{missing[0]}'" if missing else f"has the unknown key '{unknown[0]}'"
+        raise ArgumentError(f"chunk: {what}", remedy=f"keys: {', '.join((*_SHAPES, 'begins'))}")
+    columns: dict[str, Any] = {}
+    for name, row in _SHAPES.items():
+        if chunk.get(name) is None:
             continue
-        fits = np.abs(values) <= LARGEST_SAMPLE
+        values = np.asarray(chunk[name], dtype=float)
+        columns[name] = np.ascontiguousarray(np.atleast_2d(values) if row else np.atleast_1d(values))
+        shape = (columns["t"].size, *row)
+        if columns[name].shape != shape:
+            raise ArgumentError(
+                f"chunk['{name}']: shape {columns[name].shape} instead of {shape}",
+                remedy=f"one {'row' if row else 'value'} per time",
+            )
+    _check_finite(columns)
+    begins = chunk.get("begins")
+    return (
+        columns if begins is None else columns | {"begins": np.atleast_1d(np.asarray(begins, dtype=np.bool_))}
+    )
+
+
+def _check_finite(columns: Mapping[str, Any]) -> None:
+    """Refuse a sample that is not finite or so large that the result would not be finite; the message names it."""
+    for name, values in columns.items():
+        shown = values[:, 1:] if name == "f" else values  # the force along X0 is not used
+        fits = np.abs(shown) <= LARGEST_SAMPLE
         if not fits.all():
             index = int(np.argwhere(~fits)[0][0])
-            what = "too large" if np.isfinite(values[index]).all() else "not finite"
+            what = "too large" if np.isfinite(shown[index]).all() else "not finite"
             raise ArgumentError(f"chunk['{name}'][{index}] is {what}", remedy="leave such samples out")
 
 
@@ -371,14 +328,17 @@ def compensate(
     CalibrationError
         If the calibration is of another instrument, or if the phase of a segment is missing.
     """
-    stream = stream_of(
+    stream = _stream_of(
         record, calibration, method=method, phase=phase, uncertainty=uncertainty, flags=flags, limits=limits,
         max_age_days=max_age_days, force=force,
     )  # fmt: skip
     rows = empty_rows(record.size, uncertainty, flags)
     report(progress, 0, record.size, "compensating")
-    for part, _, chunk in pieces_of(record, stream):
-        stream.push_into(chunk, Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums))
+    for part in _pieces_of(record, stream):
+        stream.push_into(
+            _columns_of(record, part),
+            Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums),
+        )
         report(progress, part.stop, record.size, "compensating")
     return Compensated(
         record.t,
@@ -391,7 +351,7 @@ def compensate(
     )
 
 
-def stream_of(
+def _stream_of(
     record: Run, calibration: Calibration, *, method: str | None = None, phase: Phase | None = None,
     uncertainty: bool = True, flags: bool = True, limits: Limits | None = None, max_age_days: float | None = None,
     force: bool = False,
@@ -418,14 +378,12 @@ def stream_of(
     return stream
 
 
-def pieces_of(record: Run, stream: Compensator) -> Iterator[tuple[slice, str, Chunk]]:
-    """Row ranges of a record with one phase each, the label of the segment, and the samples; the stream takes the phase."""
+def _pieces_of(record: Run, stream: Compensator) -> Iterator[slice]:
+    """Row ranges of a record with one phase each; the stream takes the phase."""
     for start, stop in pairwise(record.segment_edges().tolist()):
-        label = record.labels[int(record.segment_index[start])]
-        stream.take_segment(label)
+        stream.take_segment(record.labels[int(record.segment_index[start])])
         for part in spans(stop - start):
-            rows = slice(start + part.start, start + part.stop)
-            yield rows, label, _chunk(record, rows)
+            yield slice(start + part.start, start + part.stop)
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
@@ -467,18 +425,4 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
         "(the counter may have rolled over unseen in a gap): one phase cannot be valid for the whole "
         "record",
         remedy="calibrate with phases = 'per-segment', or compensate each part by itself, with its own phase",
-    )
-
-
-def _chunk(record: Run, rows: slice) -> Chunk:
-    return Chunk(
-        t=record.t[rows],
-        output=record.output[rows],
-        a_Y=np.ascontiguousarray(record.f[rows, 1]),
-        a_Z=np.ascontiguousarray(record.f[rows, 2]),
-        begins=record.begins[rows],
-        base_rate=NO_RATES if record.base_rate is None else np.ascontiguousarray(record.base_rate[rows]),
-        temperature=NONE if record.temperature is None else record.temperature[rows],
-        angle=NONE,
-        vibration=NONE if record.vibration is None else record.vibration[rows],
     )

@@ -29,7 +29,7 @@ from piga.results import Array
 def constant_motion(
     inst: Instrument, t: ArrayLike, f: ArrayLike, base_rate: ArrayLike, *, onward: bool
 ) -> Array:
-    """Rows turns, rest [rad], rate [rad/s] (3, n) after times (n,) of constant input: :func:`piga._kernels.motion.step.constant_motions`."""
+    """Rows turns, rest [rad], rate [rad/s] (3, n) after times (n,) of constant input; ``onward``: one after the other."""
     times, result = float_array("t", t), np.empty((3, np.size(t)))
     inputs = float_array("f", f), float_array("base_rate", base_rate)
     constant_motions(

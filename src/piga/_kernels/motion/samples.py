@@ -86,7 +86,7 @@ class Block(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Intervals around a block [s] and the weights of their second derivatives (:func:`.arithmetic.weigh_neighbours`); room for these."""
+    """Intervals around a block [s], weights of :func:`.arithmetic.weigh_neighbours`, and room for second derivatives."""
 
     h: Array
     before: Array

@@ -11,6 +11,7 @@ Force and base rate are linear between nodes. Noise is constant from a node to t
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -22,52 +23,23 @@ _STAGES = 12
 _MAX_TRIES = 100_000
 
 
-class ServoConstants(NamedTuple):
-    """Numbers the right-hand side needs, SI; symbols as in ``instrument.twin_parameters``."""
-
-    H: float
-    ml: float
-    J_o: float
-    A: float
-    B: float
-    C: float
-    D: float
-    c: float
-    k_r: float
-    beta_r: float
-    c_x: float
-    M_c: float
-    w_c: float
-    k_p: float
-    k_i: float
-    k_d: float
-    beta_null: float
-    e_max: float
-    M_max: float
-    beta_stop: float
-    k_stop: float
-    c_stop: float
-    M_x: float
-    M_y: float
-    hunt: float
-    hunt_rate: float
-    hunt_phase: float
-    spin_deficit: float
-    spin_time: float
+ServoConstants = namedtuple(
+    "ServoConstants",
+    "H ml J_o A B C D c k_r beta_r c_x M_c w_c k_p k_i k_d beta_null e_max M_max beta_stop k_stop c_stop M_x M_y "
+    "h_w f_w phi_w s_0 t_s",
+)
+"""Numbers the right-hand side needs, SI: the symbols of :class:`piga.instrument.twin.parameters.TwinParameters`."""
 
 
 @kernel
 def wheel(p: ServoConstants, t: float) -> tuple[float, float]:
     """Rotor angular momentum and its rate of change at ``t`` (spin-up times hunting)."""
-    if p.hunt == 0.0 and p.spin_deficit == 0.0:
+    if p.h_w == 0.0 and p.s_0 == 1.0:
         return p.H, 0.0
-    up, up_rate = 1.0, 0.0
-    if p.spin_deficit != 0.0:
-        rest = p.spin_deficit * math.exp(-t / p.spin_time)
-        up, up_rate = 1.0 - rest, rest / p.spin_time
-    phase = p.hunt_rate * t + p.hunt_phase
-    ripple = 1.0 + p.hunt * math.sin(phase)
-    ripple_rate = p.hunt * p.hunt_rate * math.cos(phase)
+    rest, rate = (1.0 - p.s_0) * math.exp(-t / p.t_s), 2.0 * math.pi * p.f_w
+    up, up_rate = 1.0 - rest, rest / p.t_s
+    phase = rate * t + p.phi_w
+    ripple, ripple_rate = 1.0 + p.h_w * math.sin(phase), p.h_w * rate * math.cos(phase)
     return p.H * up * ripple, p.H * (up_rate * ripple + up * ripple_rate)
 
 

@@ -181,7 +181,7 @@ def constant_motions(
 ) -> None:  # fmt: skip
     """Rows turns, rest [rad] and rate [rad/s] of ``result`` (3, n) after times ``t`` (n,) [s] of constant input.
 
-    ``f`` and ``base_rate`` (n or 1, 3) [m/s^2], [rad/s] are taken as exact. ``onward``: each motion begins where the last one ended.
+    ``f`` and ``base_rate`` (n or 1, 3) [m/s^2], [rad/s] are taken as exact. ``onward``: each motion goes on from the last one.
     """
     for k in range(t.size):
         i = min(k, f.shape[0] - 1)

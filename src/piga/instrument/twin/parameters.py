@@ -117,19 +117,9 @@ class TwinParameters:
         return self.angular_momentum / math.sqrt(self.J_x * self.float_inertia_y)
 
     def constants(self) -> ServoConstants:
-        """The numbers in the order the kernel takes them."""
-        return ServoConstants(
-            H=self.angular_momentum, ml=self.pendulosity, J_o=self.outer_inertia,
-            A=self.float_inertia_x, B=self.float_inertia_y, C=self.float_inertia_z, D=self.product_of_inertia,
-            c=self.damping, k_r=self.restoring, beta_r=self.restoring_zero,
-            c_x=self.viscous_friction, M_c=self.coulomb_friction, w_c=self.coulomb_rate,
-            k_p=self.proportional_gain, k_i=self.integral_gain, k_d=self.rate_gain,
-            beta_null=self.pick_off_null, e_max=self.pick_off_range, M_max=self.torque_limit,
-            beta_stop=self.stop_angle, k_stop=self.stop_stiffness, c_stop=self.stop_damping,
-            M_x=self.outer_torque, M_y=self.inner_torque,
-            hunt=self.hunting, hunt_rate=2.0 * math.pi * self.hunting_frequency, hunt_phase=self.hunting_phase,
-            spin_deficit=1.0 - self.spin_start, spin_time=self.spin_time,
-        )  # fmt: skip
+        """The numbers that the kernel takes, by their symbols."""
+        values = {entry.metadata["symbol"]: getattr(self, entry.name) for entry in fields(self)}
+        return ServoConstants(**{symbol: values[symbol] for symbol in ServoConstants._fields})
 
     def with_scale_factor(self, K: float) -> TwinParameters:
         """The design with its pendulosity changed to give scale factor ``K``."""
