@@ -57,7 +57,6 @@ def _text(value: object) -> str:
 
 
 def _class(item: Any) -> str:
-    """Class of a MATLAB array in HDF5; empty for other data."""
     return _text(item.attrs.get("MATLAB_class"))
 
 
@@ -152,7 +151,6 @@ class Hdf5(Container):
         return names
 
     def _check_storage(self, item: Any, name: str) -> None:
-        """Refuse data that lie in other files or need a plug-in."""
         if item.is_virtual or item.external:
             remedy = "repack it into one file (h5repack)"
             raise self.refusal(f"the data of '{name}' lie in other files", remedy, name)
@@ -213,7 +211,6 @@ class Mat(Hdf5):
 
 
 def _fields(item: object) -> dict[str, Any]:
-    """Fields of a struct by name; none of anything else."""
     if not isinstance(item, np.ndarray) or item.size != 1:
         return {}
     return {field: item[field].reshape(-1)[0] for field in item.dtype.names or ()}
@@ -323,7 +320,6 @@ class Xlsx(Container):
         return [Event(kind, count, None, _NOTED[kind][1]) for kind, count in counts.items() if count]
 
     def _sheet(self, book: Any) -> Any:
-        """The requested sheet, or the only one."""
         sheets, name = {sheet.title: sheet for sheet in book.worksheets}, self.sheet
         listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
         fixes = [Fix("data", "sheet", title) for title in sheets]
@@ -364,7 +360,6 @@ class Xlsx(Container):
                 self._missing[name] = empty.size, int(self.rows[empty[0]])
 
     def _cells(self, body: list[_Row], places: dict[str, int]) -> dict[str, Any]:
-        """The cells of the columns at these places; numbers of the number columns."""
         cells, faults = _Cells({*MISSING, *INFINITE, *self.missing}), Faults()
         columns: dict[str, list[Any]] = {name: [] for name in places}
         for number, row in body:
@@ -407,7 +402,6 @@ class Xlsx(Container):
 
 
 def _texts(row: tuple[Any, ...]) -> tuple[str, ...]:
-    """The cells of a row as text."""
     return tuple("" if cell is None else str(cell).strip() for cell in row)
 
 

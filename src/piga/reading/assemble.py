@@ -185,7 +185,6 @@ def _check_usable(raw: RawColumns) -> None:
 
 
 def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, rows_read: int) -> None:
-    """Refuse a record without two usable rows with increasing time."""
     if raw.count >= 2 and base.nominal > 0.0:
         return
     repeated = sum(event.count for event in raw.events if event.kind == "conflicting-row")
@@ -199,7 +198,6 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
 def _reference(
     path: Path, run_file: RunFile, raw: RawColumns, t: Array, stand_reference: _StandReference
 ) -> tuple[Array, Array | None]:
-    """Specific force and base rate from the columns; without such columns from the stand."""
     data, stand = run_file.data, run_file.stand
     f, base_rate = _axes(raw, data.reference, "m/s^2"), _axes(raw, data.base_rate, "rad/s")
     if f is None and stand is not None:
@@ -227,7 +225,6 @@ def _logged(raw: RawColumns, column: ColumnTable | None) -> Array | None:
 
 
 def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
-    """Conversion of the logged output to SI."""
     instrument, output = run_file.instrument, run_file.data.output
     direct, counts, unit = instrument.kind == "direct", output.counted, str(output.unit)
     if not counts:

@@ -31,7 +31,6 @@ SAMPLED = 1 << 17
 
 
 def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    """Start and length of the longest run of True."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     if not edges.size:
         return 0, 0
@@ -145,7 +144,6 @@ def note_norm(raw: RawColumns, f: Array) -> None:
 
 
 def _note_rate(raw: RawColumns, wanted: Array, rate: Array, count: int, scale: OutputScale) -> None:
-    """Report a mean output rate that differs from the one of the reference, ``wanted``, by a factor between units."""
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
     if strong.sum() < _STUCK:
         return

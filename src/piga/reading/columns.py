@@ -231,7 +231,6 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
 
 
 def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
-    """Refuse a segment column that does not hold segments."""
     if len(labels) > MAX_SEGMENTS:
         words = f"column '{column}' has more than {MAX_SEGMENTS} different segments"
         raise refusal(path, words, "name the column that numbers the positions", column)

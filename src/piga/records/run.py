@@ -452,7 +452,6 @@ class Run(Result, Plotted, Reported, Tabular):
         return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
 
     def _cut(self, kept: NDArray[np.bool_], words: str) -> Run:
-        """The samples that are kept. A stretch begins where samples before are missing."""
         index = np.flatnonzero(kept)
         if index.size < 2:
             raise ArgumentError(
@@ -481,7 +480,6 @@ _UNITS = {"f": "m/s^2", "base_rate": "rad/s", "temperature": "K", "vibration": "
 
 
 def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
-    """A table of the run file, from its keys; former names of keys are read as in a file."""
     if isinstance(given, dict):
         given = {RENAMED.get((name, key), key): value for key, value in given.items()}
     return convert_table(name, given or {}, kind)
@@ -503,7 +501,6 @@ def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) ->
 def _segments(
     segment: ArrayLike | None, labels: Sequence[str] | None, size: int
 ) -> tuple[NDArray[np.int32], tuple[str, ...]]:
-    """Index of the segment of each sample, and the labels."""
     given = np.zeros(size, np.int32) if segment is None else np.asarray(segment)
     if given.dtype.kind in "OUS":
         places: dict[str, int] = {}

@@ -487,7 +487,6 @@ def _faults_of_output(run_file: RunFile) -> _Faults:
 
 
 def _faults_of_direct(run_file: RunFile) -> _Faults:
-    """What belongs to the gimbal of a gyro accelerometer."""
     data, instrument = run_file.data, run_file.instrument
     belongs = {
         "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
@@ -540,7 +539,6 @@ def faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:
 
 
 def _faults_of_rows(data: DataTable) -> _Faults:
-    """Faults of what says which rows are read and how."""
     numbers = data.number_columns()
     for name, (low, high) in (data.range or {}).items():
         if name not in numbers:

@@ -417,6 +417,5 @@ def _shared_part(common: Common, source: str) -> float:
 
 
 def _to_two_digits_of(half: float, number: float) -> str:
-    """A number rounded to the second digit of a half-width."""
     last = 1 - math.floor(math.log10(half))
     return f"{round(number, last):.{max(last, 0)}f}" if last < 5 else f"{round(number, last):.12g}"

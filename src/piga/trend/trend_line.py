@@ -268,7 +268,6 @@ _TOO_FEW = ArgumentError("a forecast needs records of at least three days", reme
 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
-    """Forecast from independent variances with their degrees of freedom."""
     variances, degrees = np.array(parts, dtype=float).T
     freedom = float(welch_satterthwaite(np.sqrt(variances), degrees))
     return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
@@ -387,7 +386,6 @@ def _design(time: Array) -> Array:
 
 
 def _log_likelihood(factor: Array, design: Array, values: Array) -> float:
-    """Restricted log-likelihood of the days about a line."""
     whitened = np.linalg.solve(factor, np.column_stack([design, values - values.mean()]))
     r: Array = np.linalg.qr(whitened, mode="r")  # type: ignore[assignment]
     log_size = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.abs(np.diag(r)[:2])))

@@ -115,7 +115,6 @@ def lines_of(text: str) -> list[str]:
 def _named_columns(
     lines: list[str], at: int, sample: list[str], separator: str, rows: HeadRows, path: Path
 ) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Names of the columns from the header, and the units that stand beside them."""
     names = _head_cells(lines[at] if rows.header is None else COMMENT.sub("", lines[at]), separator)
     if isinstance(rows.header, tuple):
         names = joined_names(_head_cells(COMMENT.sub("", lines[rows.header[0] - 1]), separator), names)
@@ -130,7 +129,6 @@ def _named_columns(
 
 
 def _head_cells(line: str, separator: str) -> tuple[str, ...]:
-    """Cells of a row of names."""
     return tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
 
 
@@ -196,7 +194,6 @@ def _as_wide_as_data(names: tuple[str, ...], sample: list[str], separator: str) 
 
 
 def _find_separator(header: str, sample: list[str]) -> str:
-    """The character that splits header and data into the same number of cells."""
     present = [one for one in SEPARATORS if one in header]
     same = [one for one in present if all(line.count(one) == header.count(one) for line in sample[:-1])]
     return max(same, key=header.count) if same else next(iter(present), ",")

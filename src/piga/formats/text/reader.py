@@ -217,7 +217,6 @@ class TextStream(RecordStream):
 
 
 def _parts(raw: bytes) -> Iterator[bytes]:
-    """Parts of complete lines."""
     start = 0
     while start < len(raw):
         end = raw.find(b"\n", min(start + _PART_BYTES, len(raw)) - 1) + 1 or len(raw)
@@ -226,7 +225,6 @@ def _parts(raw: bytes) -> Iterator[bytes]:
 
 
 def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -> None:
-    """Refuse a file that lacks a wanted column. A later row that holds all of them is named."""
     fixes: list[Fix] = []
     remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
     row = None if set(wanted) <= {*form.names} else _row_of(wanted, head, form.header)
@@ -385,7 +383,6 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def _stamp_hint(cell: str, name: str) -> tuple[str, tuple[Fix, ...]]:
-    """How to read a cell that is a time stamp."""
     forms = forms_of([cell])[:1]
     words = "".join(f"; or read it with time = {{ column = '{name}', stamp = '{form}' }}" for form in forms)
     return words, tuple(Fix("data", "time", {"column": name, "stamp": form}) for form in forms)

@@ -176,7 +176,6 @@ def _day(year: str, month: str, day: str) -> int | None:
 
 @lru_cache(maxsize=64)
 def _zone(text: str) -> float:
-    """Offset of a zone from UTC [s]."""
     if text == "Z":
         return 0.0
     digits = text[1:].replace(":", "")

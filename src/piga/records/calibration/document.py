@@ -87,7 +87,6 @@ class _Covariance(msgspec.Struct, frozen=True):
 
 
 def _document_type() -> Any:
-    """The type of a whole document, from the fields of a calibration. Keys that it does not name are ignored."""
     kinds = get_type_hints(Calibration, include_extras=True)
     kinds |= {
         "covariance": _Covariance,
@@ -259,7 +258,6 @@ def _calibration(document: Any) -> Calibration:
 
 
 def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
-    """What a record cannot say, and contradictions between its parts."""
     if c.serial:
         check_label(c.serial, "the serial")
     if not c.coefficients:
@@ -454,7 +452,6 @@ def _coefficient(key: str, given: Given, output: str) -> Coefficient:
 
 
 def _number(given: float | str, unit: str, what: str) -> float:
-    """A number in the unit of the file; a text carries its own unit."""
     if isinstance(given, str):
         return from_si(to_si(given, unit, what=what), unit)
     return to_si(given, "1", what=what)

@@ -268,12 +268,10 @@ def _names(sources: tuple[StandSource, ...], *statuses: str) -> tuple[str, ...]:
 
 
 def _in_budget(stated: Sized, unstated: Sized) -> str:
-    """What the uncertainties contain of the sources of the stand that are not waived."""
     return f"Type A and {len(stated)} of {len(stated) + len(unstated)} sources"
 
 
 def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
-    """The sources of the stand that nobody stated, with the largest effects of one unit."""
     sources = calibration.sources
     open_ones = [source for source in sources if source.status in ("unstated", "assumed")]
     contained = f"the uncertainties contain {_in_budget(_names(sources, *_STATED), open_ones)}"
@@ -299,7 +297,6 @@ def _open_words(source: StandSource) -> str:
 
 
 def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> str:
-    """The largest effects of one unit of the sources, in standard uncertainties of the coefficient."""
     named = {c.key: c for c in calibration.coefficients if c.std > 0.0}
     effects = [
         (abs(change) / c.std, f"1 {source.unit} of {component} changes {key} by {change:.2g} {c.unit}")
@@ -316,7 +313,6 @@ def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> st
 
 
 def _not_tested(calibration: Calibration) -> Iterator[str]:
-    """What no test of one record can show."""
     yield "a change of the bias as slow as the test, and the bias of another day"
     yield "an error of the stand that is the same at each visit of a position: only stated sources contain it"
     if calibration.diagnostics.creep is None:
