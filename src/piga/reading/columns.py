@@ -227,6 +227,9 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
         filled = np.isin(values, fills)
         values[filled] = np.nan
         raw.note("missing-value", filled, f"column '{name}'")
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
     return raw
 
 
