@@ -14,7 +14,7 @@ import pytest
 
 from piga import output
 from piga.errors import ArgumentError, PigaError
-from piga.output import check_outputs, check_results, results
+from piga.output import check_results, results
 from piga.records.text_files import files_named_in
 from tests.cli.runner import outcome
 from tests.compensation.run_files import write
@@ -79,16 +79,6 @@ def test_files_that_a_run_file_names(tmp_path: Path) -> None:
     seen = {path.name for path in files_named_in(tmp_path / "t.toml")}
     assert seen == {"t.toml", "r.toml", "c.json", "d.csv", "d.csv.sha256", "p.csv"}
     assert files_named_in(tmp_path / "none.toml") == [tmp_path / "none.toml"]
-
-
-def test_a_file_that_is_there_needs_force(tmp_path: Path) -> None:
-    there = tmp_path / "o.csv"
-    check_outputs([there], [], force=False)
-    there.write_text("other")
-    with pytest.raises(ArgumentError, match=r"o\.csv: there already") as caught:
-        check_outputs([there], [], force=False)
-    assert "--force" in str(caught.value.remedy)
-    check_outputs([there], [], force=True)
 
 
 def test_results_of_the_same_command_and_inputs_are_replaced_others_go_beside(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -76,9 +76,9 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
 @contextmanager
 def _hidden_folder(home: Path) -> Iterator[Path]:
     """A hidden folder of this process in ``home``, removed at the end."""
-    _remove_leftovers(home)
     with ExitStack() as stack:
         with _locked(home):
+            _remove_leftovers(home)
             hidden = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=home))
             stack.enter_context(_locked(hidden))
         try:
@@ -89,11 +89,10 @@ def _hidden_folder(home: Path) -> Iterator[Path]:
 
 def _remove_leftovers(home: Path) -> None:
     """Remove the hidden folders of processes that were killed: nobody holds their lock."""
-    with suppress(OSError), _locked(home):
-        for left in home.glob(f"{_HIDDEN}*"):
-            with suppress(OSError), _locked(left, wait=False) as got_lock:
-                if got_lock:
-                    shutil.rmtree(left)
+    for left in home.glob(f"{_HIDDEN}*"):
+        with suppress(OSError), _locked(left, wait=False) as got_lock:
+            if got_lock:
+                shutil.rmtree(left)
 
 
 @contextmanager
@@ -130,66 +129,43 @@ def _sync(path: Path) -> None:
 # --- what may be replaced ----------------------------------------------------------------------------
 
 
-def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool) -> None:
-    """Refuse to overwrite inputs and, unless ``force``, existing files.
-
-    Inputs are recognised under any name. An input is never replaced.
-    """
-    there = [path for path in outputs if path.exists() or path.is_symlink()]
-    same = _same_file(there, inputs)
-    if same is not None:
-        raise _input_in_the_way(*same, "choose another --out")
-    if there and not force:
-        named = ", ".join(map(str, there[:5])) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
-        raise ArgumentError(f"{named}: there already", remedy="choose another --out, or replace with --force")
-
-
-def _same_file(outputs: Iterable[Path], inputs: Iterable[Path]) -> tuple[Path, Path] | None:
-    """An output that is an input under the same or another name, and that input."""
-    read = [path for path in inputs if path.exists()]
-    written = (path for path in outputs if path.exists())
-    return next(((path, source) for path in written for source in read if path.samefile(source)), None)
-
-
 def _free_folder(
     folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool, option: str
 ) -> Path:
     """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
 
     A folder is free if it holds none of the ``names``, or only unchanged results of the same command and the same inputs, or
-    with ``force``. An input is never replaced.
+    with ``force``. An input is recognised under any name, and never replaced.
     """
-    number, place = 1, folder
+    sources, number, place = [path for path in inputs if path.exists()], 1, folder
     while True:
         if place.exists() and not place.is_dir():
             raise ArgumentError(f"{place}: is a file", remedy=f"choose another {option}")
         there = _matching(place, names)
-        for path in (path for name in names for path in place.glob(name)):
+        for path in there:
             if path.is_dir() and not path.is_symlink():
                 raise _folder_in_the_way(path, option)
-        same = _same_file(there, inputs)
+        written = [path for path in there if path.exists()]
+        same = next(((path, source) for path in written for source in sources if path.samefile(source)), None)
         if force and same is not None:
-            raise _input_in_the_way(*same, f"choose another {option}, or leave --force out")
+            raise ArgumentError(
+                f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
+                remedy=f"choose another {option}, or leave --force out",
+            )
         mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
             return place
         number, place = number + 1, folder / str(number + 1)
 
 
-def _input_in_the_way(path: Path, source: Path, remedy: str) -> ArgumentError:
-    return ArgumentError(f"{path}: is the input {source}: it would be replaced by the result", remedy=remedy)
-
-
 def _folder_in_the_way(path: Path, option: str) -> ArgumentError:
-    return ArgumentError(
-        f"{path}: is a folder where a result goes", remedy=f"move it away, or choose another {option}"
-    )
+    remedy = f"move it away, or choose another {option}"
+    return ArgumentError(f"{path}: is a folder where a result goes", remedy=remedy)
 
 
 def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
-    """Files with these names (patterns) in a folder. Files behind a link to another folder are not of the folder."""
-    home = folder.resolve()
-    matching = {path for name in names for path in folder.glob(name) if not path.is_dir() or path.is_symlink()}
+    """What has these names (patterns) in a folder. What lies behind a link to another folder is not of the folder."""
+    home, matching = folder.resolve(), {path for name in names for path in folder.glob(name)}
     return sorted(path for path in matching if path.parent.resolve().is_relative_to(home))
 
 
@@ -244,7 +220,8 @@ def results(
     folder = _free_folder(folder, command, names, inputs, force=force, option=option)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(folder.parent)
+        with suppress(OSError), _locked(folder.parent):  # a folder that cannot be listed
+            _remove_leftovers(folder.parent)
         with _hidden_folder(folder if folder.is_dir() else folder.parent) as hidden:
             stage = hidden / "results"
             stage.mkdir()
@@ -299,20 +276,19 @@ def _finish(stage: Path, command: str, key: str) -> Path:
 
 def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path, option: str) -> None:
     """Move results into a folder that exists, in place of older ones, between two marks."""
-    staged = {
-        path: folder / path.relative_to(stage) for path in stage.rglob("*") if path.is_file() and path != mark
-    }
-    for target in staged.values():
+    files = [path for path in stage.rglob("*") if path.is_file() and path != mark]
+    targets = [folder / path.relative_to(stage) for path in files]
+    for target in targets:
         if target.is_dir() or target.parent.is_symlink():
             raise _folder_in_the_way(target, option)
     moving = folder / f"{_MOVING}{command}"
     with _locked(folder):
         moving.touch()
         _sync(folder)
-        for path, target in staged.items():
+        for path, target in zip(files, targets, strict=True):
             target.parent.mkdir(parents=True, exist_ok=True)
             path.replace(target)
-        for path in set(_matching(folder, names)) - set(staged.values()):
+        for path in set(_matching(folder, names)) - set(targets):
             path.unlink()
         mark.replace(folder / mark.name)
         _sync(folder)

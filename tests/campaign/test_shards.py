@@ -42,6 +42,17 @@ def test_no_campaign_there(tmp_path):
         open_campaign(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["", "stand.toml"])
+def test_a_manifest_that_lacks_a_file_is_damaged(tmp_path, name):
+    plan_campaign(written(tmp_path), tmp_path / "out")
+    path = tmp_path / "out" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    del manifest["texts"][name]
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(PigaError, match="is damaged"):
+        open_campaign(tmp_path / "out")
+
+
 def test_other_software_is_refused(tmp_path):
     path, out = written(tmp_path), tmp_path / "out"
     plan_campaign(path, out)

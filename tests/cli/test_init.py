@@ -62,6 +62,18 @@ def test_an_open_line_that_is_answered_makes_the_run_file_whole(log: Path) -> No
     assert run("check", path)[0] == 0
 
 
+def test_a_run_file_that_was_changed_stays(log: Path) -> None:
+    """An unchanged draft is replaced. Beside a changed one the new draft lies in ``2``, and reads the same log."""
+    path = log.with_suffix(".toml")
+    for _ in range(2):
+        assert run("init", log, "--yes")[0] == 0
+    path.write_text(f"# mine\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
+    code, out, _ = run("init", log, "--yes")
+    assert (code, "It reads 960 of 960 rows" in out) == (0, True)
+    assert path.read_text(encoding="utf-8").startswith("# mine")
+    assert run("check", log.parent / "2" / path.name)[0] == 0
+
+
 @pytest.mark.parametrize(("setting", "words"), [
     ("scale", "is not table.key=value"),
     ("instrument.scale_factor=0.8884 kg", "is given in 'kg'"),

@@ -240,24 +240,21 @@ def _judged(rows: pa.Table) -> pa.Table:
 
     z, off, low, high = (_numbers(rows, name) for name in ("z", "deviation", "low", "high"))
     degrees, bound, u = (_numbers(rows, name) for name in ("degrees_of_freedom", "bound", "u"))
-    truth = _numbers(rows, "value") - off
+    truth, known = _numbers(rows, "value") - off, np.isfinite(off)
+    table = rows.select(["record", "group", "name", "unit", "value"])
     with np.errstate(all="ignore"):
-        covered = np.where(np.isfinite(off), (low <= truth) & (truth <= high), np.nan)
         columns = {
             "deviation": off,
-            "held": covered,
-            "half": np.where(np.isfinite(off), 0.5 * (high - low), np.nan),
+            "held": np.where(known, (low <= truth) & (truth <= high), np.nan),
+            "half": np.where(known, 0.5 * (high - low), np.nan),
             "z2": z**2,
             "abs_z": np.abs(z),
             "expected": np.where(np.isfinite(z), 1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0)), np.nan),
             "u2": u**2,
             "bound2": bound**2,
         }
-    table = rows.select(["record", "group", "name", "unit", "value"])
     for name, column in columns.items():
-        table = table.append_column(
-            name, pa.array(np.where(np.isfinite(column), column, np.nan), from_pandas=True)
-        )
+        table = table.append_column(name, pa.array(column, mask=~np.isfinite(column)))
     return table
 
 
@@ -282,31 +279,26 @@ def _group_results(campaign: Campaign, heads: pa.Table, rows: pa.Table) -> list[
         + [(name, "mean") for name in ("half", "z2", "expected", "u2", "bound2")]
         + [("abs_z", "max")],
     )
-    by_group = {row["group"]: row for row in _grouped(heads, ["group"], [("record", "count"), *_NEES])}
-    counts: dict[int, tuple[Counter[str], Counter[str]]] = {}
+    seen: dict[int, Counter[str]] = {}
+    failed: dict[int, Counter[str]] = {}
     columns = (heads.column(name).to_pylist() for name in ("group", "error_class", "seen"))
-    for group, error, seen in zip(*columns, strict=True):
-        failed, every = counts.setdefault(group, (Counter(), Counter()))
-        failed.update([error] if error else [])
-        every.update(seen or ())
-    results = []
-    for index, head in sorted(by_group.items()):
-        failed, every = counts[index]
-        results.append(
-            GroupResult(
-                group=campaign.plan.groups[index],
-                records=head["record_count"],
-                failed=dict(sorted(failed.items())),
-                coefficients=tuple(_coefficient(row) for row in figures if row["group"] == index),
-                nees=finite(head["nees_mean"]),
-                nees_expected=finite(head["nees_expected_mean"]),
-                seen={name: count / head["record_count"] for name, count in sorted(every.items())},
-            )
+    for group, error, names in zip(*columns, strict=True):
+        failed.setdefault(group, Counter()).update([error] if error else [])
+        seen.setdefault(group, Counter()).update(names or ())
+    wanted = [("record", "count"), ("nees", "mean"), ("nees_expected", "mean")]
+    return [
+        GroupResult(
+            group=campaign.plan.groups[index],
+            records=head["record_count"],
+            failed=dict(sorted(failed[index].items())),
+            coefficients=tuple(_coefficient(row) for row in figures if row["group"] == index),
+            nees=finite(head["nees_mean"]),
+            nees_expected=finite(head["nees_expected_mean"]),
+            seen={name: count / head["record_count"] for name, count in sorted(seen[index].items())},
         )
-    return results
-
-
-_NEES = [("nees", "mean"), ("nees_expected", "mean")]
+        for head in sorted(_grouped(heads, ["group"], wanted), key=lambda head: head["group"])
+        for index in [head["group"]]
+    ]
 
 
 def _coefficient(row: Row) -> CampaignCoefficient:
@@ -381,16 +373,13 @@ def _failures(campaign: Campaign, heads: pa.Table) -> list[_Failure]:
     import pyarrow.compute as pc
 
     failed = heads.filter(pc.is_valid(heads.column("error_class"))).select(["error_class", "record", "error"])
-    firsts: dict[str, Row] = {}
-    for row in failed.to_pylist():
-        firsts.setdefault(row["error_class"], row)
-    counts = Counter(failed.column("error_class").to_pylist())
-    return [
-        _Failure(name, count, first["record"], first["error"] or "", _repeat_command(campaign, record))
-        for name, count in sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-        for first in [firsts[name]]
-        for record in [campaign.plan.record(first["record"])]
-    ]
+    rows = failed.to_pylist()
+    failures = []
+    for name, count in Counter(row["error_class"] for row in rows).items():
+        first = next(row for row in rows if row["error_class"] == name)
+        command = _repeat_command(campaign, campaign.plan.record(first["record"]))
+        failures.append(_Failure(name, count, first["record"], first["error"] or "", command))
+    return sorted(failures, key=lambda failure: (-failure.records, failure.error_class))
 
 
 # --- documents ---------------------------------------------------------------------------------------
@@ -415,18 +404,10 @@ def document(collected: Collected) -> dict[str, Any]:
 
 def _group_document(result: GroupResult) -> dict[str, Any]:
     group = result.group
-    return {
-        "name": group.name,
-        "set": group.set,
-        "subject": group.subject,
-        "planned": group.records,
-        "records": result.records,
-        "failed": result.failed,
-        "nees": result.nees,
-        "nees_expected": result.nees_expected,
-        "coefficients": [msgspec.to_builtins(c) for c in result.coefficients],
-        "seen": result.seen,
-    }
+    names = ("records", "failed", "nees", "nees_expected", "seen")
+    entry = {"name": group.name, "set": group.set, "subject": group.subject, "planned": group.records}
+    entry |= {name: getattr(result, name) for name in names}
+    return entry | {"coefficients": msgspec.to_builtins(result.coefficients)}
 
 
 def write_table(collected: Collected, path: Path) -> None:

@@ -16,7 +16,7 @@ import socket
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "piga.campaign/2"
 MANIFEST, _PARTS, LOCK = "manifest.json", "parts", "running.lock"
-_PART = re.compile(r"part-(\d{5,})-([0-9a-f]{32})\.parquet")
+_PART = re.compile(r"part-(\d{5,})-[0-9a-f]{32}\.parquet")
 
 
 _SECONDS, _FEWEST = 120.0, 16
@@ -84,18 +84,14 @@ class Campaign:
     @cached_property
     def key(self) -> str:
         """SHA-256 of everything that determines the numbers and the shards."""
-        manifest = self.manifest
-        chosen = [
-            sorted(manifest.texts.items()),
-            manifest.records,
-            manifest.records_per_shard,
-            manifest.software,
-        ]
+        m = self.manifest
+        chosen = [sorted(m.texts.items()), m.records, m.records_per_shard, m.software]
         return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()
 
-    def digest(self, shard: int, content: bytes) -> str:
-        """Digest that the name of a part carries."""
-        return hashlib.sha256(f"{self.key} {shard} ".encode() + content).hexdigest()[:32]
+    def part_name(self, shard: int, content: bytes) -> str:
+        """Name of the part with this content."""
+        digest = hashlib.sha256(f"{self.key} {shard} ".encode() + content).hexdigest()[:32]
+        return f"part-{shard:05d}-{digest}.parquet"
 
 
 # --- planning ----------------------------------------------------------------------------------------
@@ -131,21 +127,26 @@ def open_campaign(folder: str | Path) -> Campaign:
             f"{path}: cannot be read ({error.strerror or error})", remedy="name the folder of a campaign"
         ) from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise PigaError(
-            f"{path}: is damaged ({error})", remedy="delete it, then plan the campaign again; its parts stay"
-        ) from None
+        raise _damaged(path, str(error)) from None
     if manifest.schema != SCHEMA:
         raise PigaError(
             f"{path}: schema '{manifest.schema}' is not known",
             remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
         )
     if manifest.records_per_shard < 1:
-        raise PigaError(f"{path}: is damaged (records_per_shard)", remedy="delete it, then plan again")
-    texts = {name: text.encode() for name, text in manifest.texts.items()}
-    plan = plan_of(Path(manifest.campaign), texts)
+        raise _damaged(path, "records_per_shard")
+    try:
+        plan = plan_of(Path(manifest.campaign), {name: text.encode() for name, text in manifest.texts.items()})
+    except KeyError as error:
+        raise _damaged(path, f"it lacks the file {error}") from None
     if plan.records != manifest.records:
-        raise PigaError(f"{path}: is damaged (records)", remedy="delete it, then plan the campaign again")
+        raise _damaged(path, "records")
     return Campaign(folder, manifest, plan)
+
+
+def _damaged(path: Path, why: str) -> PigaError:
+    remedy = "delete it, then plan the campaign again; its parts stay"
+    return PigaError(f"{path}: is damaged ({why})", remedy=remedy)
 
 
 def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
@@ -189,11 +190,8 @@ def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
             remedy="choose another --out",
         )
     if has.software != wanted.software:
-        changed = ", ".join(
-            f"{name} {has.software.get(name, '')[:12]} then, {text[:12]} now"
-            for name, text in wanted.software.items()
-            if has.software.get(name) != text
-        )
+        pairs = [(name, has.software.get(name, ""), text) for name, text in wanted.software.items()]
+        changed = ", ".join(f"{n} {old[:12]} then, {new[:12]} now" for n, old, new in pairs if old != new)
         raise PigaError(
             f"{folder}: was begun with other software ({changed}); records of different software must not "
             "be mixed",
@@ -202,12 +200,8 @@ def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
     return campaign
 
 
-def compile_kernels(plan: CampaignPlan) -> None:
+def compile_kernels(plan: CampaignPlan, number: int = 0) -> None:
     """Compute one record, so that the kernels are compiled before the workers start. The workers then load them."""
-    _try(plan, 0)
-
-
-def _try(plan: CampaignPlan, number: int) -> None:
     with suppress(Exception):  # the record will be a row with the reason
         compute(plan, plan.record(number))
 
@@ -219,9 +213,10 @@ def seconds_per_record(plan: CampaignPlan) -> float:
     """
     spent = []
     for group in (plan.groups[0], plan.groups[-1]):
-        _try(plan, group.start + group.records - 1)
+        last = group.start + group.records - 1
+        compile_kernels(plan, last)
         start = time.process_time()
-        _try(plan, group.start + group.records - 1)
+        compile_kernels(plan, last)
         spent.append(time.process_time() - start)
     return max(sum(spent) / len(spent), 1e-6)
 
@@ -252,7 +247,7 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     """Compute a shard and write its part. If the part is there already, nothing is computed."""
     import numba
 
-    campaign = _opened(folder, _stamp(folder))
+    campaign = _opened(folder)
     if shard in campaign.parts():
         return ShardReport(shard, 0, 0, 0.0)
     numba.set_num_threads(1)
@@ -264,17 +259,8 @@ def run_shard(folder: str, shard: int) -> ShardReport:
     return ShardReport(shard, len(heads), failed, time.process_time() - began)
 
 
-def _stamp(folder: str) -> int:
-    """Time of the manifest [ns]. A cluster worker may outlive a campaign, and a folder may be planned again."""
-    try:
-        return (Path(folder) / MANIFEST).stat().st_mtime_ns
-    except OSError:
-        return 0
-
-
-@lru_cache(maxsize=1)
-def _opened(folder: str, _time: int) -> Campaign:
-    """The campaign, opened once in a worker; refused if this worker has other software than the campaign."""
+def _opened(folder: str) -> Campaign:
+    """The campaign; refused if this worker has other software."""
     host = socket.gethostname()
     try:
         campaign = open_campaign(folder)
@@ -337,7 +323,7 @@ def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> N
     parquet.write_table(pa.Table.from_arrays(columns, schema=schema), sink, compression="zstd")
     content = sink.getvalue().to_pybytes()
     write_whole(
-        campaign.folder / _PARTS / f"part-{shard:05d}-{campaign.digest(shard, content)}.parquet",
+        campaign.folder / _PARTS / campaign.part_name(shard, content),
         lambda part: part.write_bytes(content),
         remedy="make room on the disk, then run the campaign again: it goes on where it stopped",
     )
@@ -353,8 +339,7 @@ def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
         content = path.read_bytes()
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror or error})", remedy=remedy) from None
-    match = _PART.fullmatch(path.name)
-    if match is None or match[2] != campaign.digest(shard, content):
+    if path.name != campaign.part_name(shard, content):
         raise DataError(f"{path}: is damaged, or belongs to another campaign or shard", remedy=remedy)
     # read_table scans in threads that outlive the call; one that lets go of `content` while Python ends aborts the process
     with parquet.ParquetFile(pa.BufferReader(content), pre_buffer=False) as source:

@@ -50,22 +50,23 @@ class Outcome:
         return [dict(zip(self.columns, row, strict=True)) for row in zip(*self.columns.values(), strict=True)]
 
 
-def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Any:
+def built(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Scenario | PlatformScenario:
     """The scenario of a record, ready to run."""
+    path = plan.path.parent / record.group.scenario
     try:
-        return (_stand if record.group.subject == "stand" else _platform)(plan, record, document)
+        if record.group.subject == "stand":
+            return _stand(path, document)
+        from piga.platform.scenario import scenario_of_document
+
+        return scenario_of_document(path, document)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(error.message, remedy=error.remedy) from None
 
 
-def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> Scenario:
-    path = plan.path.parent / record.group.scenario
+def _stand(path: Path, document: dict[str, Any]) -> Scenario:
     table = convert_toml(path, document, ScenarioTable)
-    for part, kind in (
-        ("model", ModelTable),
-        ("estimation", EstimationTable),
-        ("uncertainty", UncertaintyTable),
-    ):
+    kinds = {"model": ModelTable, "estimation": EstimationTable, "uncertainty": UncertaintyTable}
+    for part, kind in kinds.items():
         try:
             convert_table(part, getattr(table, part), kind)
         except ArgumentError as error:
@@ -76,12 +77,6 @@ def _stand(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> 
             remedy="leave it out, or change scale_factor",
         )
     return scenario_of(path, table)
-
-
-def _platform(plan: CampaignPlan, record: RecordName, document: dict[str, Any]) -> PlatformScenario:
-    from piga.platform.scenario import scenario_of_document
-
-    return scenario_of_document(plan.path.parent / record.group.scenario, document)
 
 
 def compute(plan: CampaignPlan, record: RecordName) -> Outcome:
@@ -134,15 +129,14 @@ NOISE_DOUBTED = "doubt about the noise"
 
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """Kinds of noise that a calibration reports, terms that it suggests, and a doubt about the noise."""
-    levels = {
-        "random walk": calibration.angle_random_walk,
-        "scatter of the segments": calibration.segment_scatter,
+    noise = {
+        "random walk": calibration.angle_random_walk > 0.0,
+        "scatter of the segments": calibration.segment_scatter > 0.0,
+        NOISE_DOUBTED: calibration.verdict.warns_of_noise,
     }
-    noise = [name for name, level in levels.items() if level > 0.0]
     missing = calibration.diagnostics.missing_terms
-    if calibration.verdict.warns_of_noise:
-        noise.append(NOISE_DOUBTED)
-    return (*noise, *dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing))
+    suggested = dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing)
+    return (*(name for name, there in noise.items() if there), *suggested)
 
 
 def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
@@ -192,14 +186,8 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
     e = test.electronics
     entries = msgspec.structs.asdict(run.uncertainty)
     stated = any(value is not None for name, value in entries.items() if name != "waived")
-    if (
-        e.bias_random_walk
-        or e.clock_jitter
-        or e.clock_offset
-        or test.model == "twin"
-        or stated
-        or e.kind == "rate"
-    ):
+    other_noise = e.bias_random_walk or e.clock_jitter or e.clock_offset
+    if other_noise or stated or test.model == "twin" or e.kind == "rate":
         return None
     step = 2.0 * math.pi / e.counts_per_revolution if e.kind == "counts" else 0.0
     white = math.sqrt(e.angle_noise**2 + step**2 / 12.0)
@@ -220,15 +208,12 @@ def _bound(test: SimulatedTest, run: Run) -> Array | None:
 def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScenario) -> Outcome:
     from piga.platform.chain import compare, last_east_lines
 
-    models = compare(replace(scenario, seed=seed_of(plan, record))).models
+    labels = ("east_velocity_line", "east_velocity_equatorial_line")
     rows: list[tuple[str, str, float]] = []
-    for model, run in models.items():
+    for model, run in compare(replace(scenario, seed=seed_of(plan, record))).models.items():
         rows.append((f"position_error[{model}]", "m", float(run.lines.position.max())))
-        labels = ("east_velocity_line", "east_velocity_equatorial_line")
-        rows += [
-            (f"{label}[{model}]", "m/s", value)
-            for label, value in zip(labels, last_east_lines(run.lines), strict=False)
-        ]
+        values = zip(labels, last_east_lines(run.lines), strict=False)
+        rows += [(f"{label}[{model}]", "m/s", value) for label, value in values]
     return Outcome(dict(zip(("name", "unit", "value"), zip(*rows, strict=True), strict=True)))
 
 
@@ -245,18 +230,14 @@ FILES = ("scenario.toml", "run.toml", "run.parquet", "run.csv", "truth.json")
 """Names of the files of a record."""
 
 
-def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> list[str]:
-    """Write the files of a record into ``folder``. Returns their names.
-
-    The scenario is written as it was used, with the seed of the record.
-    """
+def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> None:
+    """Write the files of a record into ``folder``: the scenario as it was used, with the seed of the record."""
     document = plan.document(record)
     made = built(plan, record, document)
     seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
     (folder / "scenario.toml").write_text(toml_text(seeded), encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
         _write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
-    return sorted(path.name for path in folder.iterdir())
 
 
 def _plain(value: Any) -> Any:

@@ -250,9 +250,8 @@ def missing_items(
         for table, key, clause, what in _NEEDED
         if getattr(getattr(data, table), key) in ("", None, ())
     ]
-    missing += [*_people(data), *_texts(data), *_conditions(data), *_order_of_dates(data)]
+    missing += [*_texts(data), *_conditions(data), *_order_of_dates(data, calibration)]
     missing += [
-        *_evaluated_before(data, calibration),
         *_adjustment(data, calibration, before),
         *_numbers(data, calibration),
         *_gravity(data, calibration),
@@ -261,13 +260,9 @@ def missing_items(
     return missing
 
 
-def _people(data: CertificateFile) -> Iterator[str]:
-    person = data.people.authorised
-    if not (person.name and person.role):
-        yield "[people.authorised] name and role (7.8.2.1 o): who authorises the certificate"
-
-
 def _texts(data: CertificateFile) -> Iterator[str]:
+    if not (data.people.authorised.name and data.people.authorised.role):
+        yield "[people.authorised] name and role (7.8.2.1 o): who authorises the certificate"
     for table in ("laboratory", "customer"):
         country = getattr(data, table).country
         if country and not re.fullmatch("[A-Z]{2}", country):
@@ -319,32 +314,22 @@ def quantity_text(text: str) -> tuple[float, str]:
     return float(number), unit.strip() or "1"
 
 
-def _order_of_dates(data: CertificateFile) -> Iterator[str]:
+def _order_of_dates(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
+    issued = data.certificate.issued
     steps = (
         ("[item] received", data.item.received),
         ("[calibration] begin", data.calibration.begin),
         ("[calibration] end", data.calibration.end),
-        ("[certificate] issued", data.certificate.issued),
+        ("[certificate] issued", issued),
     )
     given = [(name, date) for name, date in steps if date is not None]
     for (first, earlier), (second, later) in itertools.pairwise(given):
         if later < earlier:
             yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
-
-
-def _first_day_of_issue(calibration: Calibration) -> dt.date:
-    """Day of the evaluation where it is earliest. The record has it in UTC; local time is at most 12 h behind."""
-    return (dt.datetime.fromisoformat(calibration.provenance.created) - dt.timedelta(hours=12)).date()
-
-
-def _evaluated_before(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
-    """Check that the date of issue is not before the evaluation."""
-    issued = data.certificate.issued
-    if issued is not None and issued < _first_day_of_issue(calibration):
-        yield (
-            f"[certificate] issued (7.8.2.1 j): {issued} is before the evaluation, "
-            f"{calibration.provenance.created[:10]}"
-        )
+    created = calibration.provenance.created
+    # the record has the evaluation in UTC; local time is at most 12 h behind
+    if issued is not None and issued < (dt.datetime.fromisoformat(created) - dt.timedelta(hours=12)).date():
+        yield f"[certificate] issued (7.8.2.1 j): {issued} is before the evaluation, {created[:10]}"
 
 
 def _adjustment(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> Iterator[str]:

@@ -15,11 +15,11 @@ import datetime as dt
 import math
 import re
 import warnings
-from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Context, Decimal, InvalidOperation
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import msgspec
 
@@ -36,10 +36,6 @@ from piga.units import parse_unit
 if TYPE_CHECKING:
     import jinja2
     from lxml import etree
-
-
-from decimal import Context
-from urllib.parse import quote
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 NAMES = {"dcc": DCC, "si": SI}
@@ -75,13 +71,18 @@ def _write(
     """The certificate as piga of that release writes it."""
     from lxml import etree
 
+    days = {
+        "receiptDate": data.item.received,
+        "beginPerformanceDate": data.calibration.begin,
+        "endPerformanceDate": data.calibration.end,
+    }
     rendered = _template().render(
         data=data,
         calibration=calibration,
         before=before,
         nominal=calibration.scale_factor_nominal * parse_unit(calibration.unit).factor,
         release=release,
-        days=_days(data),
+        days=days.items(),
         statements=statements(data, calibration),
         traceability=TRACEABILITY,
         uncertainty=_UNCERTAINTY,
@@ -131,14 +132,6 @@ def _template() -> jinja2.Template:
     return environment.get_template("dcc.xml.jinja")
 
 
-def _days(data: CertificateFile) -> list[tuple[str, dt.date | None]]:
-    return [
-        ("receiptDate", data.item.received),
-        ("beginPerformanceDate", data.calibration.begin),
-        ("endPerformanceDate", data.calibration.end),
-    ]
-
-
 def _digit_of(c: Coefficient) -> int:
     """Power of ten of the last significant digit of a coefficient in SI."""
     return _significant_digit(Decimal(to_dsi(c.expanded, c.unit)), Decimal(to_dsi(c.value, c.unit)))
@@ -151,23 +144,17 @@ def _columns(calibration: Calibration) -> list[tuple[list[tuple[float, Coefficie
     return [(list(zip(column, rows, strict=True)), owner) for column, owner in zip(columns, rows, strict=True)]
 
 
-@dataclass(frozen=True)
-class _Condition:
+def _condition(condition: ConditionTable) -> dict[str, str]:
     """A condition of the environment in SI, as texts."""
-
-    name: str
-    kind: str
-    value: str
-    unit: str
-    uncertainty: str
-
-
-def _condition(condition: ConditionTable) -> _Condition:
     number, unit = quantity_text(condition.value)
     spread = quantity_text(condition.uncertainty) if condition.uncertainty else None
-    kind = _CONDITIONS.get(condition.name.lower(), "")
-    value = _si_decimal(number, unit, offset=True)
-    return _Condition(condition.name, kind, value, dsi_unit(unit), _si_decimal(*spread) if spread else "")
+    return {
+        "name": condition.name,
+        "kind": _CONDITIONS.get(condition.name.lower(), ""),
+        "value": _si_decimal(number, unit, offset=True),
+        "unit": dsi_unit(unit),
+        "uncertainty": _si_decimal(*spread) if spread else "",
+    }
 
 
 def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
@@ -184,21 +171,11 @@ def _attachments(
     words = "Calibration record of piga with budget, residual figures, data quality and provenance"
     parts = [("Calibration record", RECORD, words, "calibration.json", calibration_to_bytes(calibration))]
     if before is not None:
-        words = "Calibration record of piga before adjustment"
-        parts.append(("Record before adjustment", _BEFORE, words, "before.json", calibration_to_bytes(before)))
-    parts.append(
-        (
-            "Data of the certificate",
-            DATA,
-            "Data that piga wrote it from",
-            "data.json",
-            msgspec.json.encode(data),
-        )
-    )
-    return [
-        (title, kind, name, file, base64.b64encode(raw).decode("ascii"))
-        for title, kind, name, file, raw in parts
-    ]
+        words, raw = "Calibration record of piga before adjustment", calibration_to_bytes(before)
+        parts.append(("Record before adjustment", _BEFORE, words, "before.json", raw))
+    words, raw = "Data that piga wrote it from", msgspec.json.encode(data)
+    parts.append(("Data of the certificate", DATA, words, "data.json", raw))
+    return [(*names, base64.b64encode(raw).decode("ascii")) for *names, raw in parts]  # type: ignore[misc]
 
 
 def read_dcc(path: str | Path) -> Calibration:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from piga.certificate.certificate_file import (
@@ -93,93 +94,49 @@ def decision_rule(data: CertificateFile) -> str:
 
 def statements(data: CertificateFile, calibration: Calibration) -> tuple[_Statement, ...]:
     """All applicable statements, in the order of the standard."""
-    declarations = [
-        _Statement(
-            "Scope of the results",
-            "The results relate only to the item described here, in the state in which it was calibrated.",
-            "7.8.2.1 l",
-        ),
-        _Statement(
-            "Reproduction",
-            "This certificate shall not be reproduced except in full without approval of the laboratory.",
-            "7.8.2.1",
-        ),
-        _Statement("Sampling", f"Sampling plan: {data.method.sampling}.", "7.8.2.1 k"),
-        _Statement(
-            "Method",
-            f"Additions, deviations and exclusions from the method: {data.method.deviations}.",
-            "7.8.2.1 n",
-        ),
-        _Statement(
-            "External providers",
-            f"Results from external providers: {data.method.external_results}.",
-            "7.8.2.1 p",
-        ),
-        _Statement("Adjustment", _adjustment(data), "7.8.4.1 d"),
-        _Statement(
-            "Traceability",
-            data.traceability.statement,
-            "7.8.4.1 c",
-            ref_type=TRACEABILITY,
-        ),
-        *_validity(calibration),
-        *_conformity(data, calibration),
-        *_optional(data),
-    ]
-    return tuple(declarations)
+    return tuple(_statements(data, calibration))
 
 
-def _adjustment(data: CertificateFile) -> str:
-    if not data.adjustment.performed:
-        return "The item was neither adjusted nor repaired; the results are those of the item as received."
-    how = f": {data.adjustment.description}" if data.adjustment.description else ""
-    return f"The item was adjusted or repaired{how}. Results before and after are given."
-
-
-def _validity(calibration: Calibration) -> list[_Statement]:
-    ranges = validity_ranges(calibration)
-    if not ranges:
-        return []
-    return [
-        _Statement("Range", range_sentence(ranges), "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
-    ]
-
-
-def _conformity(data: CertificateFile, calibration: Calibration) -> list[_Statement]:
-    rule = data.conformity
-    if rule is None:
-        return []
-    conformities = verdicts(data, calibration)
-    worst = max((verdict.status for verdict in conformities), key=WORST.index)
-    names = ", ".join(verdict.key for verdict in conformities)
-    text = f"Specification: {rule.specification}. Decision rule: {decision_rule(data)}. Applies to: {names}."
-    return [
-        _Statement(
-            "Conformity",
-            f"{text} Overall: {overall(worst)}.",
-            "7.8.6.2",
-            ref_type="basic_conformity",
-            conformity=worst,
+def _statements(data: CertificateFile, calibration: Calibration) -> Iterator[_Statement]:
+    method, say, traceability = data.method, data.statements, data.traceability.statement
+    text = "The results relate only to the item described here, in the state in which it was calibrated."
+    yield _Statement("Scope of the results", text, "7.8.2.1 l")
+    text = "This certificate shall not be reproduced except in full without approval of the laboratory."
+    yield _Statement("Reproduction", text, "7.8.2.1")
+    yield _Statement("Sampling", f"Sampling plan: {method.sampling}.", "7.8.2.1 k")
+    text = f"Additions, deviations and exclusions from the method: {method.deviations}."
+    yield _Statement("Method", text, "7.8.2.1 n")
+    text = f"Results from external providers: {method.external_results}."
+    yield _Statement("External providers", text, "7.8.2.1 p")
+    text = "The item was neither adjusted nor repaired; the results are those of the item as received."
+    if data.adjustment.performed:
+        how = f": {data.adjustment.description}" if data.adjustment.description else ""
+        text = f"The item was adjusted or repaired{how}. Results before and after are given."
+    yield _Statement("Adjustment", text, "7.8.4.1 d")
+    yield _Statement("Traceability", traceability, "7.8.4.1 c", ref_type=TRACEABILITY)
+    if ranges := validity_ranges(calibration):
+        text = range_sentence(ranges)
+        yield _Statement("Range", text, "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
+    if data.conformity is not None:
+        conformities = verdicts(data, calibration)
+        worst = max((verdict.status for verdict in conformities), key=WORST.index)
+        names = ", ".join(verdict.key for verdict in conformities)
+        text = f"Specification: {data.conformity.specification}. Decision rule: {decision_rule(data)}."
+        text += f" Applies to: {names}. Overall: {overall(worst)}."
+        yield _Statement("Conformity", text, "7.8.6.2", ref_type="basic_conformity", conformity=worst)
+    if say.opinions:
+        text = f"{say.opinions} (Opinion of {say.opinions_by}.)"
+        yield _Statement("Opinions and interpretations", text, "7.8.7")
+    if say.recalibrate and say.interval_agreed:
+        text, when = (
+            "As agreed with the customer, the item is to be recalibrated by this date.",
+            say.recalibrate,
         )
-    ]
-
-
-def _optional(data: CertificateFile) -> list[_Statement]:
-    declarations = []
-    if data.statements.opinions:
-        text = f"{data.statements.opinions} (Opinion of {data.statements.opinions_by}.)"
-        declarations.append(_Statement("Opinions and interpretations", text, "7.8.7"))
-    if data.statements.recalibrate and data.statements.interval_agreed:
-        text = "As agreed with the customer, the item is to be recalibrated by this date."
-        when = data.statements.recalibrate
-        declarations.append(
-            _Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
-        )
+        yield _Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
     if data.certificate.replaces:
         text = (
             f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
         )
-        declarations.append(_Statement("Amendment", text, "7.8.8"))
-    if data.statements.remarks:
-        declarations.append(_Statement("Remarks", data.statements.remarks, "7.8.2"))
-    return declarations
+        yield _Statement("Amendment", text, "7.8.8")
+    if say.remarks:
+        yield _Statement("Remarks", say.remarks, "7.8.2")

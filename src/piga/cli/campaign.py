@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from piga.cli.common import (
     App,
@@ -19,10 +19,6 @@ from piga.cli.common import (
     say,
     tell,
 )
-
-if TYPE_CHECKING:
-    from piga.campaign.run import RunReport
-    from piga.campaign.shards import Campaign
 
 app = App("campaign", "Run thousands of tests, on one machine or many.")
 
@@ -40,10 +36,31 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     It computes a few records to measure how long they take.
     """
     from piga.campaign.shards import plan_campaign
+    from piga.reports.render.numbers import duration
 
     planned = plan_campaign(campaign, out)
-    wrote = f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}"
-    tell(as_json, _plan_document(planned), (*_plan_lines(planned), wrote))
+    manifest, groups = planned.manifest, planned.plan.groups
+    size, seconds = manifest.records_per_shard, manifest.seconds_per_record
+    hours = None if seconds is None else seconds * manifest.records / 3600.0
+    document = {
+        "campaign": str(planned.plan.path),
+        "groups": len(groups),
+        "cases": sum(group.designs for group in groups),
+        "records": manifest.records,
+        "shards": planned.shards,
+        "records_per_shard": size,
+        "seconds_per_record": seconds,
+        "core_hours": hours,
+    }
+    lines = [planned.plan.file.campaign.title or planned.plan.path.name]
+    lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
+    lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
+    lines.append(f"{manifest.records} records in {planned.shards} shards of {size}")
+    if seconds is not None:
+        cost = f"{duration(seconds * size)} a shard, {hours:.2g} core hours in all"
+        lines.append(f"about {seconds:.2g} s a record, {cost}")
+    lines.append(f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}")
+    tell(as_json, document, lines)
 
 
 @app.command()
@@ -61,16 +78,31 @@ def run(
     """
     from piga.campaign.run import run_campaign
     from piga.campaign.shards import plan_campaign
+    from piga.reports.render.numbers import duration
 
     planned = plan_campaign(campaign, out)
-    again = _command("run", campaign, out, *_engine(workers, executor))
+    engine = [] if workers is None else ["--workers", str(workers)]
+    engine += [] if executor is None else ["--executor", executor]
+    again = _command("run", campaign, out, *engine)
     try:
         with progress("computing", every=10.0) as show:
             report = run_campaign(planned, workers=workers, executor=executor, progress=show)
     except KeyboardInterrupt:
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
         raise SystemExit(_INCOMPLETE) from None
-    tell(as_json, _run_document(planned, report), _run_lines(report))
+    records, failed, seconds = (
+        sum(getattr(one, name) for one in report.reports) for name in ("records", "failed", "seconds")
+    )
+    document = {
+        "shards": report.shards,
+        "shards_done": report.done,
+        "records": planned.manifest.records,
+        "records_of_this_run": records,
+        "failed_in_this_run": failed,
+        "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
+    }
+    here = f"{records} records in this run, {failed} failed, {duration(seconds)} of processor time"
+    tell(as_json, document, [f"{report.done} of {report.shards} shards done; {here}"])
     if report.set_aside:
         for shard, text in sorted(report.set_aside.items()):
             note(f"piga: shard {shard} is not computed: {text}")
@@ -83,12 +115,29 @@ def run(
 @app.command()
 def status(folder: Folder, as_json: JsonOption = False) -> None:
     """Show the progress of a campaign and its core hours."""
+    from piga.campaign.collect import read_rows
     from piga.campaign.shards import open_campaign
 
-    document = _status(open_campaign(folder))
-    done = "{shards_done} of {shards} shards, {records_done} of {records} records, {failed} failed"
+    campaign = open_campaign(folder)
+    parts = campaign.parts()
+    failed, seconds, records = 0, 0.0, 0
+    if parts:
+        heads, _ = read_rows(campaign, parts)
+        records, failed = heads.num_rows, heads.num_rows - heads.column("error_class").null_count
+        seconds = sum(heads.column("seconds").to_pylist())
+    document = {
+        "campaign": str(campaign.plan.path),
+        "shards": campaign.shards,
+        "shards_done": len(parts),
+        "records": campaign.manifest.records,
+        "records_done": records,
+        "failed": failed,
+        "core_hours": seconds / 3600.0,
+        "core_hours_per_1000": seconds / 3.6 / records if records else None,
+    }
+    lines = ["{shards_done} of {shards} shards, {records_done} of {records} records, {failed} failed"]
     cost = "cost: {core_hours:.3g} core hours so far, {core_hours_per_1000:.3g} per thousand records"
-    lines = (done, cost) if document["core_hours_per_1000"] is not None else (done,)
+    lines += [cost] if records else []
     tell(as_json, document, (line.format(**document) for line in lines))
 
 
@@ -144,89 +193,6 @@ def repeat(
         to.tell(lambda: outcome_document(record, outcome), lambda: "\n".join(outcome_lines(record, outcome)))
 
 
-# --- words -------------------------------------------------------------------------------------------
-
-
 def _command(name: str, campaign: Path, out: Path, *more: str) -> str:
     parts = ["piga", "campaign", name, str(campaign), "--out", str(out), *more]
     return " ".join(shlex.quote(part) for part in parts)
-
-
-def _engine(workers: int | None, executor: str | None) -> list[str]:
-    given = [] if workers is None else ["--workers", str(workers)]
-    return given if executor is None else ["--executor", executor]
-
-
-def _plan_document(campaign: Campaign) -> dict[str, Any]:
-    manifest = campaign.manifest
-    seconds = manifest.seconds_per_record
-    return {
-        "campaign": str(campaign.plan.path),
-        "groups": len(campaign.plan.groups),
-        "cases": sum(group.designs for group in campaign.plan.groups),
-        "records": manifest.records,
-        "shards": campaign.shards,
-        "records_per_shard": manifest.records_per_shard,
-        "seconds_per_record": seconds,
-        "core_hours": None if seconds is None else seconds * manifest.records / 3600.0,
-    }
-
-
-def _plan_lines(campaign: Campaign) -> list[str]:
-    from piga.reports.render.numbers import duration
-
-    document, groups = _plan_document(campaign), campaign.plan.groups
-    lines = [f"{campaign.plan.file.campaign.title or campaign.plan.path.name}"]
-    lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
-    lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
-    size = document["records_per_shard"]
-    lines.append(f"{document['records']} records in {document['shards']} shards of {size}")
-    seconds = document["seconds_per_record"]
-    if seconds is not None:
-        lines.append(
-            f"about {seconds:.2g} s a record, {duration(seconds * size)} a shard, "
-            f"{document['core_hours']:.2g} core hours in all"
-        )
-    return lines
-
-
-def _run_document(campaign: Campaign, report: RunReport) -> dict[str, Any]:
-    return {
-        "shards": report.shards,
-        "shards_done": report.done,
-        "records": campaign.manifest.records,
-        "records_of_this_run": sum(r.records for r in report.reports),
-        "failed_in_this_run": sum(r.failed for r in report.reports),
-        "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
-    }
-
-
-def _run_lines(report: RunReport) -> list[str]:
-    from piga.reports.render.numbers import duration
-
-    records, failed, seconds = (
-        sum(getattr(r, name) for r in report.reports) for name in ("records", "failed", "seconds")
-    )
-    here = f"{records} records in this run, {failed} failed, {duration(seconds)} of processor time"
-    return [f"{report.done} of {report.shards} shards done; {here}"]
-
-
-def _status(campaign: Campaign) -> dict[str, Any]:
-    from piga.campaign.collect import read_rows
-
-    parts = campaign.parts()
-    failed, seconds, records = 0, 0.0, 0
-    if parts:
-        heads, _ = read_rows(campaign, parts)
-        records, failed = heads.num_rows, heads.num_rows - heads.column("error_class").null_count
-        seconds = sum(heads.column("seconds").to_pylist())
-    return {
-        "campaign": str(campaign.plan.path),
-        "shards": campaign.shards,
-        "shards_done": len(parts),
-        "records": campaign.manifest.records,
-        "records_done": records,
-        "failed": failed,
-        "core_hours": seconds / 3600.0,
-        "core_hours_per_1000": seconds / 3.6 / records if records else None,
-    }

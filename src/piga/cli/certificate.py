@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -24,11 +24,6 @@ from piga.cli.common import (
     tell,
 )
 from piga.errors import PigaError
-
-if TYPE_CHECKING:
-    from piga.certificate.certificate_file import CertificateFile
-    from piga.records.calibration import Calibration
-
 
 RESULTS = ("certificate.html", "certificate.xml")
 """Names of the result files of ``issue``."""
@@ -78,20 +73,36 @@ def issue(
     """
     import hashlib
 
+    from msgspec.structs import replace
+
     from piga.certificate.certificate_file import read_certificate_file
+    from piga.certificate.dcc import dcc_document
     from piga.certificate.page import certificate_html, is_draft, write_certificate
-    from piga.records.calibration.document import calibration_from_bytes
+    from piga.certificate.xml_signature import sign_xml, written
+    from piga.output import check_results
+    from piga.records.calibration import Calibration
+    from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
+    from piga.records.limits import read_whole
 
     if (key is None) != (certificate is None):
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")
     if key is not None and not dcc:
         raise PigaError("--key signs the XML, but no XML is written", remedy="add --dcc")
-    file = _issued(read_certificate_file(data), issued)
-    raw = _bytes(calibration)
+    file = read_certificate_file(data)
+    if issued is not None or file.certificate.issued is None:
+        today = issued in (None, "today")
+        day = dt.datetime.now().astimezone() if today else day_in(str(issued), "--issued", ", or today")
+        file = replace(file, certificate=replace(file.certificate, issued=day.date()))
+    check_results(calibration.parent)
+    raw = read_whole(calibration, MOST_BYTES, "a calibration.json", PigaError)  # once: its digest is shown
     certified = calibration_from_bytes(raw, calibration)
-    before = _before(file, data)
+    former = file.adjustment.before
+    before = Calibration.from_json(data.parent / former) if former else None
     html = certificate_html(file, certified, before, record_sha256=hashlib.sha256(raw).hexdigest())
-    xml = _xml(file, certified, before, key, certificate) if dcc else None
+    xml = None
+    if dcc:
+        root = dcc_document(file, certified, before)
+        xml = written(root if key is None or certificate is None else sign_xml(root, key, certificate))
     if not force:
         _refuse_used_number(file.certificate.number, html, out)
     inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
@@ -124,51 +135,6 @@ def _refuse_used_number(number: str, html: str, out: Path) -> None:
                 remedy="give a new number, and name the old one in [certificate] replaces; "
                 "--force replaces a certificate that nobody has received",
             )
-
-
-def _issued(file: CertificateFile, date: str | None) -> CertificateFile:
-    """The administrative part with its date of issue: from the option, else from the file, else today."""
-    from msgspec.structs import replace
-
-    if date is None:
-        if file.certificate.issued is not None:
-            return file
-        date = "today"
-    day = dt.datetime.now().astimezone() if date == "today" else day_in(date, "--issued", ", or today")
-    return replace(file, certificate=replace(file.certificate, issued=day.date()))
-
-
-def _bytes(path: Path) -> bytes:
-    """The bytes of a calibration.json. They are read once, so the certificate shows the digest of the certified record."""
-    from piga.output import check_results
-    from piga.records.calibration.document import MOST_BYTES
-    from piga.records.limits import read_whole
-
-    check_results(path.parent)
-    return read_whole(path, MOST_BYTES, "a calibration.json", PigaError)
-
-
-def _before(file: CertificateFile, data: Path) -> Calibration | None:
-    """The calibration before adjustment. Its path is relative to the TOML file."""
-    from piga.records.calibration import Calibration
-
-    return Calibration.from_json(data.parent / file.adjustment.before) if file.adjustment.before else None
-
-
-def _xml(
-    file: CertificateFile,
-    calibration: Calibration,
-    before: Calibration | None,
-    key: Path | None,
-    certificate: Path | None,
-) -> bytes:
-    from piga.certificate.dcc import dcc_document
-    from piga.certificate.xml_signature import sign_xml, written
-
-    root = dcc_document(file, calibration, before)
-    if key is not None and certificate is not None:
-        root = sign_xml(root, key, certificate)
-    return written(root)
 
 
 @app.command()
@@ -208,13 +174,14 @@ def verify(
         "remarks": list(signed.remarks),
     }
     when = "" if at is None else f" as of {day:%Y-%m-%d}"
-    lines = [f"{file}: the signature holds{when}; {who}"]
+    lines = [
+        f"{file}: the signature holds{when}; {who}",
+        f"  signed by  {signed.signer}",
+        f"  whose certificate is valid {valid}",
+    ]
     if why:
-        lines = [
-            f"{file}: the signer's X.509 certificate {why}; {stated}",
-            f"  the signature itself holds; {who}",
-        ]
-    lines += [f"  signed by  {signed.signer}", *([] if why else [f"  whose certificate is valid {valid}"])]
+        first = f"{file}: the signer's X.509 certificate {why}; {stated}"
+        lines = [first, f"  the signature itself holds; {who}", lines[1]]
     tell(as_json, document, lines)
     if was == "was not" and not why:
         note(f"piga: the signer's X.509 certificate is valid {valid}; {stated}")

@@ -1,9 +1,12 @@
-"""``piga check``, ``convert`` and ``noise``: what is in a record, and the noise of a static log."""
+"""``piga init``, ``check``, ``convert`` and ``noise``: a run file for a log of any program, and what is in a record."""
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -12,19 +15,203 @@ from piga.cli.common import (
     JsonOption,
     RunFileArgument,
     argument,
+    counted,
     deliver,
     deliver_file,
     files_named_in,
     flag,
+    no_folder,
+    note,
     option,
     progress,
     say,
-    tell,
+    write_text,
 )
 from piga.errors import ArgumentError, PigaError
 
 if TYPE_CHECKING:
     from piga.calibration import TermProspect
+    from piga.describe import LogDescription, RunFileDraft
+
+
+def init(
+    log: Annotated[Path, argument("LOG", "Log of a test, written by any program.")],
+    out: Annotated[Path | None, option("RUN.toml", "The run file [default: LOG.toml].")] = None,
+    settings: Annotated[
+        list[str] | None,
+        option(
+            "KEY=VALUE",
+            "A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
+            "--set",
+        ),
+    ] = None,
+    columns: Annotated[
+        list[str] | None,
+        option(
+            "NAME=KIND",
+            "What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
+            "--column",
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Draft a run file for a log.
+
+    Guesses encoding, header, units, separator, decimal mark, time stamps, and the content of each column. Every guess is in
+    the run file with its reason and its alternatives. At a terminal the command asks for what the log does not say.
+    Elsewhere this is an open line in the run file.
+    """
+    from piga.describe import describe_log, draft_run_file, setting
+    from piga.records.run_file import read_run_file
+
+    chosen = out or no_folder(log).parent / f"{log.name.split('.')[0] or 'run'}.toml"
+    if chosen.suffix != ".toml":
+        raise ArgumentError(f"--out {chosen}: the name must end in .toml", remedy="e.g. run.toml")
+    with deliver_file(chosen, "init", [log], force=force, as_json=as_json) as to:
+        target = (to.folder or chosen.parent) / chosen.name
+        given = dict(setting(text) for text in settings or [])
+        kinds = {name: kind for name, _, kind in (text.rpartition("=") for text in columns or [])}
+        with progress(f"reading {log.name}"):
+            described = describe_log(log, kinds)
+        draft = draft_run_file(described, given, folder=target.parent)
+        asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+        if asking:
+            draft = _ask(described, given, target)
+        read_run_file(target, draft.completed().text().encode())
+        lines = [] if asking else list(_column_lines(described))
+        if draft.open:
+            end = list(_open_lines(described, draft, target, settings or [], columns or []))
+        else:
+            target.parent.mkdir(exist_ok=True)  # the log is named from there
+            with progress("trying it"):
+                end = list(_outcome_lines(target, draft))
+        lines += [line for notes in draft.comments.values() for line in notes if line.startswith("CHECK")]
+        write_text(to / target.name, draft.text())
+        to.tell(lambda: _document(described, draft, target), lambda: "\n".join([*lines, *end]))
+
+
+def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunFileDraft:
+    """Show the guesses, ask for what is missing and for corrections, until the user is content."""
+    from piga.describe import draft_run_file, setting
+
+    for line in _column_lines(described):
+        say(line)
+    left: set[str] = set()
+    while True:
+        draft = draft_run_file(described, given, folder=target.parent)
+        question = next((one for one in (*draft.open, *draft.optional) if one.key not in left), None)
+        if question is not None:
+            answer = _answer(
+                f"{question.words} [{question.key}], e.g. {question.example}, or Enter to leave it open: "
+            )
+            change = answer and f"{question.key}={answer}"
+        else:
+            note(f"\n{draft.text()}")
+            change = _answer("A correction as table.key=value, or Enter to write the file: ")
+        if not change:
+            if question is None:
+                return draft
+            left.add(question.key)
+            continue
+        try:
+            trial = given | dict([setting(change)])
+            draft_run_file(described, trial, folder=target.parent)
+            given |= trial
+        except PigaError as error:
+            note(f"  {error}")
+
+
+def _answer(words: str) -> str:
+    sys.stderr.write(words)
+    sys.stderr.flush()
+    line = sys.stdin.readline()
+    if not line:
+        raise ArgumentError(
+            "the input ended", remedy="nothing was written; run the command again, or with --yes"
+        )
+    return line.strip()
+
+
+def _column_lines(described: LogDescription) -> Iterator[str]:
+    layout = described.layout
+    if layout is not None:
+        yield f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}"
+    names = [column.name if len(column.name) < 60 else f"{column.name[:57]}..." for column in described.columns]
+    width = max(map(len, names), default=0)
+    for name, column in zip(names, described.columns, strict=True):
+        yield f"  {name:<{width}}  {column.words}"
+
+
+def _open_lines(
+    described: LogDescription, draft: RunFileDraft, target: Path, settings: list[str], columns: list[str]
+) -> Iterator[str]:
+    """What the log does not say, and the two ways to answer."""
+    yield f"{counted(len(draft.open), 'question')} open, since the log does not say it:"
+    for one in (*draft.open, *draft.optional):
+        yield f"  {one.key}: {one.words}"
+    unused = [one.name for one in described.columns if one.kind == "other" and one.name in described.numbers]
+    if unused and any(one.key in ("data.output", "data.reference") for one in draft.open):
+        yield (
+            f"  Not understood: {', '.join(unused)}. Say what one holds: --column {shlex.quote(unused[0] + '=angle')}"
+        )
+    for line in draft.comments.get("data.", []):
+        yield f"  {line}"
+    yield f"Answer in {target} (lines marked OPEN), or run the command again:"
+    given = [f"--set {shlex.quote(text)}" for text in settings]
+    given += [f"--column {shlex.quote(text)}" for text in columns]
+    answers = " ".join(
+        [*given, *(f"--set {one.key}='{one.example}'" for one in (*draft.open, *draft.optional))]
+    )
+    yield f"  piga init {_typed(described.path)} --out {_typed(target)} --force {answers}"
+
+
+def _typed(path: Path) -> str:
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
+
+
+def _outcome_lines(target: Path, draft: RunFileDraft) -> Iterator[str]:
+    """What is read with the new run file, or why nothing is."""
+    from piga.describe import try_run_file
+
+    try:
+        tried = try_run_file(draft, target)
+    except PigaError as error:
+        yield f"The log cannot be read with it yet: {error.message}"
+        yield f"  remedy: {error.remedy}"
+        yield from suggested_lines(target, draft.text().encode())
+        return
+    counts: dict[str, int] = {}
+    for event in tried.quality.events:
+        counts[event.kind] = counts.get(event.kind, 0) + event.count
+    events = "".join(f"; {count} x {kind}" for kind, count in counts.items())
+    yield (
+        f"It reads {tried.size} of {tried.quality.rows} rows in {counted(len(tried.labels), 'segment')}{events}"
+    )
+    yield f"Next: piga check {_typed(target)}; piga calibrate {_typed(target)}"
+
+
+def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> dict[str, Any]:
+    return {
+        "run_file": str(target),
+        "document": draft.document,
+        "comments": draft.comments,
+        "open": [{"key": one.key, "words": one.words, "example": one.example} for one in draft.open],
+        "columns": [
+            {
+                "name": column.name,
+                "kind": column.kind,
+                "axis": None if column.axis is None else "XYZ"[column.axis] + "0",
+                "unit": column.unit or None,
+                "stamp": column.stamp or None,
+                "reason": column.reason,
+                "alternatives": list(column.alternatives),
+            }
+            for column in described.columns
+        ],
+    }
 
 
 def check(
@@ -44,7 +231,9 @@ def check(
 ) -> None:
     """Show the content of a recorded test. Nothing is calibrated."""
     if explain is not None:
-        _explain(explain, as_json)
+        from piga.cli.words import explain_key
+
+        explain_key(explain, as_json)
         return
     if run is None:
         raise ArgumentError("no run file is named", remedy="piga check RUN.toml, or piga check --explain KEY")
@@ -76,13 +265,6 @@ def check(
         )
 
 
-def _explain(key: str, as_json: bool) -> None:
-    from piga.cli.words import explain, key_documents, key_lines
-
-    hits = explain(key)
-    tell(as_json, key_documents(hits), key_lines(hits))
-
-
 def convert(
     run: RunFileArgument,
     out: Annotated[Path, option("FILE.parquet", "File for the clean record.")],
@@ -106,12 +288,12 @@ def convert(
     say(f"a run file reads it with\n\n{data_table(record, out.name)}")
 
 
-def suggested_lines(run: Path) -> list[str]:
+def suggested_lines(run: Path, content: bytes | None = None) -> list[str]:
     """The lines that were tried, in run-file syntax, with the reason as a comment."""
     from piga.describe.run_file import suggestions
 
     with progress("trying run-file lines"):
-        tried = suggestions(run)
+        tried = suggestions(run, content)
     lines = [] if tried else ["# no run-file line would change what was found"]
     for item in tried:
         lines += [f"# {' '.join(item.reason.split())}", f"{item.line}    # in [{item.table}]"]

@@ -17,10 +17,9 @@ import typer
 from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records
 from piga.cli.calibrate import calibrate, demo
-from piga.cli.check import check, convert, noise
+from piga.cli.check import check, convert, init, noise
 from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
 from piga.cli.compensate import compensate
-from piga.cli.init import init
 from piga.cli.simulate import plan, reproduce, simulate
 from piga.cli.words import completion, examples, methods, terms
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package

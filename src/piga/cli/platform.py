@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,7 +70,7 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
         document = {
             "rows": rows,
             "duration_s": run.scenario.duration,
-            "redundancy_deg": [_degrees(eta[0]), _degrees(eta[-1])],
+            "redundancy_deg": [math.degrees(eta[0]), math.degrees(eta[-1])],
             "files": list(files),
         }
         whole = simulation_page(run)
@@ -227,7 +228,3 @@ def _parquet(table: Any, path: Path) -> None:
     import pyarrow.parquet as pq
 
     pq.write_table(table, path, write_page_checksum=True)
-
-
-def _degrees(angle: float) -> float:
-    return float(angle) * 57.29577951308232

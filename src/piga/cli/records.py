@@ -144,14 +144,11 @@ def _reproduced_line(document: dict[str, Any]) -> str:
     if document["verdict"] == "different":
         for line in document["differences"] or ("the numbers differ in their last digits",):
             note(f"piga: {document['id']}: {line}")
-    changed = {
-        name: f"{then} -> {now}" for name, (then, now) in document["changed"].items() if then is not None
-    }
-    if "source_sha256" in changed:
-        changed["source_sha256"] = "other numeric source"
-    then_and_now = "; ".join(f"{name} {words}" for name, words in changed.items())
-    where = f"then and now: {then_and_now or 'the software of then was not recorded in full'}"
-    where = "same software and platform" if document["same_platform"] else where
+    pairs = {name: pair for name, pair in document["changed"].items() if pair[0] is not None}
+    changed = [f"{name} {then} -> {now}" for name, (then, now) in pairs.items() if name != "source_sha256"]
+    changed += ["other numeric source"] if "source_sha256" in pairs else []
+    then_and_now = "; ".join(changed) or "the software of then was not recorded in full"
+    where = "same software and platform" if document["same_platform"] else f"then and now: {then_and_now}"
     return f"{document['id']}: {words[document['verdict']]}; {where}"
 
 

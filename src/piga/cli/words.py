@@ -36,31 +36,11 @@ def explain(key: str) -> list[KeyPlace]:
     return hits
 
 
-def key_lines(hits: list[KeyPlace]) -> Iterator[str]:
-    """What keys mean. Places with the same meaning are named together."""
+def explain_key(key: str, as_json: bool) -> None:
+    """Say what a key means; places with the same meaning are named together."""
     from piga.describe.draft import FILES
 
-    groups: dict[tuple[str, str, str, str], list[KeyPlace]] = {}
-    for place in hits:
-        groups.setdefault((place.words.sentence, place.words.example, place.kind, place.default), []).append(
-            place
-        )
-    for (sentence, example, kind, default), group in groups.items():
-        names = dict.fromkeys(f"{place.path} ({FILES[place.file][0]})" for place in group)
-        yield "; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else "")
-        yield f"  {sentence}"
-        unit = group[0].words.unit
-        plain = unit in ("", "1", "own", "as the value", "row", "rows")
-        yield f"  value    {kind}" + ("" if plain else f", e.g. in {unit}")
-        yield f"  default  {default}"
-        yield f"  example  {group[0].path.rpartition('.')[2]} = {example}"
-
-
-def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
-    """The same for ``--json``."""
-    from piga.describe.draft import FILES
-
-    return [
+    rows = [
         {
             "file": FILES[place.file][0],
             "key": place.path,
@@ -70,8 +50,24 @@ def key_documents(hits: list[KeyPlace]) -> list[dict[str, str]]:
             "default": place.default,
             "example": place.words.example,
         }
-        for place in hits
+        for place in explain(key)
     ]
+    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in ("meaning", "example", "value", "default")), []).append(
+            row
+        )
+    tell(as_json, rows, (line for group in groups.values() for line in _key_lines(group)))
+
+
+def _key_lines(group: list[dict[str, str]]) -> Iterator[str]:
+    names, first = dict.fromkeys("{key} ({file})".format(**row) for row in group), group[0]
+    yield "; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else "")
+    yield f"  {first['meaning']}"
+    plain = first["unit"] in ("", "1", "own", "as the value", "row", "rows")
+    yield f"  value    {first['value']}" + ("" if plain else f", e.g. in {first['unit']}")
+    yield f"  default  {first['default']}"
+    yield f"  example  {first['key'].rpartition('.')[2]} = {first['example']}"
 
 
 def terms(

@@ -225,14 +225,15 @@ Change = tuple[str, str, Any, str]
 """Table, key, value and reason of a change of the run file."""
 
 
-def suggestions(path: Path) -> list[Suggestion]:
+def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
     """Lines that solve what is open with a run file. Every line was put into the file, and the log was read again.
 
     A line that leads to another problem is kept if further lines solve that one. If only one of several lines lets the
-    log be read, the others are left out. The list is empty if no lines let the log be read.
+    log be read, the others are left out. The list is empty if no lines let the log be read. ``content`` is the text of a
+    file that is not on disk.
     """
     try:
-        raw = toml_bytes(path)
+        raw = toml_bytes(path) if content is None else content
         document: Document = toml_document(path, raw)
     except PigaError:
         return []
