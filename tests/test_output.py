@@ -205,7 +205,8 @@ for k in range(100000):
 """
 
 
-def killed_at_random(tmp_path: Path, kills: int) -> None:
+@pytest.mark.parametrize("kills", [2, pytest.param(50, marks=pytest.mark.slow)])
+def test_kills_in_a_folder(tmp_path: Path, kills: int) -> None:
     """Writers of one folder, two at a time, killed: what is read is of one run, and nothing hidden stays."""
     out = tmp_path / "out"
     rng = np.random.default_rng(1)
@@ -225,15 +226,6 @@ def killed_at_random(tmp_path: Path, kills: int) -> None:
     fill(out, "last", force=True)
     assert set(held(out).values()) == {"last"}
     assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
-
-
-def test_kills_in_a_folder(tmp_path: Path) -> None:
-    killed_at_random(tmp_path, 2)
-
-
-@pytest.mark.slow
-def test_many_kills_in_a_folder(tmp_path: Path) -> None:
-    killed_at_random(tmp_path, 50)
 
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -30,14 +30,6 @@ def goes_up(steps) -> bool:
     return done == sorted(done) and len({step[1] for step in steps}) == 1 and done[-1] == steps[-1][1]
 
 
-def test_calibrate_says_its_steps(run, cal):
-    result, steps = heard(lambda progress: piga.calibrate(run, TERMS, progress=progress))
-    assert result == cal.__class__(**result.__dict__)
-    assert [step[2] for step in steps][:2] == ["fitting the model", "finding the intervals"]
-    assert goes_up(steps)
-    assert result["k0"] == cal["k0"]
-
-
 def test_an_error_of_the_callers_function_reaches_the_caller(run, cal):
     def interrupted(*_: object) -> bool:
         raise KeyboardInterrupt

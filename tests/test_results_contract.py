@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
-import importlib
-import inspect
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,31 +19,6 @@ from tests.planning.cases import request
 from tests.short_record import SCALE, pickled
 
 ROOT = Path(__file__).parents[1]
-
-
-def public_classes() -> dict[str, type]:
-    """Every class that a room names in ``__all__``."""
-    values = {}
-    for room in piga.ROOMS:
-        module = importlib.import_module(f"piga.{room}")
-        for name in module.__all__:
-            value = getattr(module, name)
-            if inspect.isclass(value) and not issubclass(value, Exception):
-                values[f"{room}.{name}"] = value
-    return values
-
-
-CLASSES = public_classes()
-
-
-@pytest.mark.parametrize("name", list(CLASSES))
-def test_equality_is_by_value_or_identity_and_never_raises(name):
-    """No dataclass compares arrays field by field as a tuple does: that raises."""
-    kind = CLASSES[name]
-    if not dataclasses.is_dataclass(kind) or kind.__dataclass_params__.eq is False:
-        return
-    arrays = [f.name for f in dataclasses.fields(kind) if "Array" in str(f.type) or "NDArray" in str(f.type)]
-    assert arrays == [], f"{name} holds arrays: eq=False and ByValue"
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,18 @@
-"""Pages, pictures and proofs that the documentation names exist."""
+"""Every file, module, command, test, picture and page that a page names is there."""
 
 from __future__ import annotations
 
 import ast
+import json
 import re
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
-from .pages import DOCS, ROOT, name_of, pages
+from .pages import DOCS, ROOT, commands, name_of, pages
 
-_TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`|`(test_\w+)`")
+_TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?[^`]*`")
 
 
 def functions(path: Path) -> set[str]:
@@ -18,32 +20,19 @@ def functions(path: Path) -> set[str]:
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
 
 
-@pytest.fixture(scope="module")
-def all_tests() -> set[str]:
-    return {name for path in (ROOT / "tests").rglob("test_*.py") for name in functions(path)}
-
-
 @pytest.mark.parametrize("page", pages(), ids=name_of)
-def test_every_named_test_exists(page: Path, all_tests: set[str]) -> None:
-    for path, name, bare in _TEST.findall(page.read_text(encoding="utf-8")):
-        if bare:
-            assert bare in all_tests, bare
-            continue
+def test_every_named_test_exists(page: Path) -> None:
+    for path, name in _TEST.findall(page.read_text(encoding="utf-8")):
         assert (ROOT / path).is_file(), path
         assert not name or name in functions(ROOT / path), f"{path}::{name}"
 
 
-def accuracy_rows() -> list[list[str]]:
-    """Cells of the first table: model, valid for, error at most, proved by."""
+def test_accuracy_names_a_test_for_every_model() -> None:
+    """The first table: model, valid for, error at most, proved by."""
     text = (DOCS / "validation.md").read_text(encoding="utf-8").split("\n## ")[0]
     rows = re.findall(r"^\| (?!model|---)(.*) \|$", text, re.MULTILINE)
-    return [[cell.strip() for cell in row.split(" | ")] for row in rows]
-
-
-def test_accuracy_names_a_test_for_every_model() -> None:
-    rows = accuracy_rows()
     assert len(rows) >= 10
-    assert all("tests/" in row[-1] and "::" in row[-1] for row in rows)
+    assert all(re.search(r"tests/.*::[^|]*$", row) for row in rows)
 
 
 @pytest.mark.parametrize("page", pages(), ids=name_of)
@@ -70,3 +59,60 @@ def test_no_remote_assets() -> None:
     for path in [*pages(), DOCS / "conf.py", DOCS / "_static" / "piga.css"]:
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"(!\[[^\]]*\]\(|src=|url\(|@import\s+)['\"]?https?:", text), path
+
+
+PLACES = ("src", "tests", "docs", "builders", "benchmarks", "examples")
+_PATH = re.compile(rf"(?<![\w./-])((?:{'|'.join(PLACES)})/[\w./*-]*\w)")
+_PAGE = re.compile(r"(?<![\w./*-])([\w-]+(?:/[\w-]+)*\.md)\b")
+_DOTTED = re.compile(r"(?:`|:\w+:`~?)(piga(?:\.\w+)+)(?![\w/-])")
+_COMMAND = re.compile(r"`piga ([a-z]+(?: [a-z]+)?)(?=[ `])")
+_KEYS = {"piga.flags", "piga.inputs", "piga.notes"}
+"""Names of metadata in files, which look like modules."""
+
+
+def resolves(dotted: str) -> bool:
+    """True for a module of piga or something in one."""
+    try:
+        resolve_name(dotted)
+    except (ImportError, AttributeError):
+        owner, _, name = dotted.rpartition(".")
+        return owner != "piga" and name in getattr(resolve_name(owner), "__annotations__", {})
+    return True
+
+
+def missing_commands(text: str) -> list[str]:
+    missing = []
+    for words in _COMMAND.findall(text):
+        first = f"piga {words.split()[0]}"
+        name = f"piga {words}" if commands().get(first) else first
+        missing += [] if name in commands() else [name]
+    return missing
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_what_is_named_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    files = {name for name in _PATH.findall(text) if not (ROOT / f"{name}.md").exists()}
+    missing = [name for name in files if not list(ROOT.glob(name))]
+    for name in set(_PAGE.findall(text)):
+        places = (page.parent, DOCS, ROOT, *DOCS.iterdir())
+        if "generated/" not in name and not any((place / name).is_file() for place in places):
+            missing.append(name)
+    missing += [name for name in set(_DOTTED.findall(text)) - _KEYS if not resolves(name)]
+    missing += missing_commands(text)
+    assert not missing, f"{name_of(page)} names what is not there: {sorted(missing)}"
+
+
+def test_the_files_that_ci_names_are_there() -> None:
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    named = re.findall(r"\b(?:tests|builders|benchmarks)/[\w/]+\.py", script)
+    assert named
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
+def test_the_shipped_picture_of_the_report_is_the_one_whose_numbers_stand_beside_it() -> None:
+    pytest.importorskip("PIL")
+    from builders.build_report_image import OUT, numbers_file, stale
+
+    kept = json.loads(numbers_file(OUT).read_text(encoding="utf-8"))
+    assert stale(OUT, {name: value for name, value in kept.items() if name != "picture"}) == ""

@@ -241,11 +241,6 @@ def test_an_arm_on_the_table_feels_the_ramp():
     assert f == pytest.approx(np.column_stack([-0.2 * rate**2, 0.2 * acceleration, np.full(3, 9.80166)]))
 
 
-def test_small_levels_are_levels() -> None:
-    assert rates_for_levels((0.0, 0.5), 2.0) == pytest.approx([0.0, 0.5])
-    assert RateTable(SITE, SpinPlan((1.0,), 0.5, 0.5)).segments()[0].duration == 0.5
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [

@@ -45,13 +45,6 @@ def test_drive_levels_and_frequencies():
     assert 0.5 / np.diff(crossings[-3:]).mean() == pytest.approx(8.0, rel=0.05)
 
 
-def test_a_sweep_that_stays_is_a_sine():
-    t = np.linspace(0.0, 4.0, 101)
-    sine, sweep = Drive("sine", 4.0, 3.0, amplitude=2.0), Drive("sweep", 4.0, 3.0, 3.0, amplitude=2.0)
-    for one, other in zip(sine.acceleration(t), sweep.acceleration(t), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_vibration_table_adds_motion_to_gravity():
     stand = VibrationTable(
         SITE, (Drive("rest", 1.0), Drive("sine", 4.0, 5.0, amplitude=3.0)), axis="Y0", up="X0"

@@ -12,7 +12,6 @@ import pytest
 
 from piga.calibration.calibrate import calibrate
 from piga.errors import CalibrationError, PigaError, RunFileError
-from piga.records.text_files import toml_text
 from piga.stand import (
     read_scenario,
     run_scenario,
@@ -245,8 +244,3 @@ def test_run_file_of_an_output_in_rad(tmp_path: Path, output: str, unit: str) ->
     assert document["data"]["output"] | {"column": ""} == {"column": "", "kind": output, "unit": unit}
     assert "counts_per_revolution" not in document["instrument"]
     assert "local_error" not in truth_document(scenario, test)["simulation"]
-
-
-def test_toml_values() -> None:
-    values = {"a": True, "b": "°", "c": [1, 2.5], "d": {"e": False}, "f": (1,)}
-    assert tomllib.loads(toml_text({"x": values}))["x"] == values | {"f": [1]}
