@@ -18,8 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from piga.errors import ArgumentError, PigaError
-from piga.workbench.folder import Folder, History
-from piga.workbench.jobs import Jobs
+from piga.workbench.folder import Folder
 from piga.workbench.pages import common, describe, explore, later, record
 from piga.workbench.pages.common import Bench, error_page
 from piga.workbench.security import LOOPBACK, Door, Guard, write_private
@@ -36,7 +35,7 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
     """The ASGI application for a folder. ``ready`` is called once when it has started."""
     for room in ("parts", "trials"):  # of a server that was killed
         shutil.rmtree(folder.state_room(room), ignore_errors=True)
-    bench = Bench(folder, Jobs(folder.root), History(folder), door)
+    bench = Bench(folder)
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
@@ -54,17 +53,14 @@ def application(folder: Folder, door: Door, ready: Callable[[], None]) -> Any:
 def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> None:
     """Serve the bench of a folder on the loopback address until SIGINT or SIGTERM. Running jobs are then ended.
 
-    Parameters
-    ----------
-    folder:
-        The folder to open.
-    port:
-        Port to listen on; 0 takes a free one.
-    ready:
-        Called with the door and the hidden folder once the server answers.
+    ``port`` 0 takes a free one. ``ready`` is called with the door and the hidden folder once the server answers.
     """
     opened = Folder(folder)
-    listener = _listening(port)
+    try:
+        listener = socket.create_server((LOOPBACK, port))
+    except (OSError, OverflowError) as error:
+        words = f"port {port} cannot be used ({getattr(error, 'strerror', error)})"
+        raise ArgumentError(words, remedy="choose another, or leave --port out") from None
     door = Door(listener.getsockname()[1], str(opened.root))
     app = application(opened, door, lambda: ready(door, opened.state_room()))
     server = uvicorn.Server(
@@ -85,15 +81,6 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
         timer = threading.Timer(_LAST, os._exit, (0,))
         timer.daemon = True
         timer.start()
-
-
-def _listening(port: int) -> socket.socket:
-    """A socket on the loopback address."""
-    try:
-        return socket.create_server((LOOPBACK, port))
-    except (OSError, OverflowError) as error:
-        words = f"port {port} cannot be used ({getattr(error, 'strerror', error)})"
-        raise ArgumentError(words, remedy="choose another, or leave --port out") from None
 
 
 def open_browser(door: Door, place: Path) -> bool:

@@ -32,6 +32,8 @@ from piga.units import G0
 
 _LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
+TRIALS = f"{STATE_FOLDER}/trials/"
+"""Begin of the names of answers that are not kept."""
 _MOST_FILES = 5000
 """Most files that are listed. A folder with more is not a folder of records."""
 _DEPTH = 4
@@ -93,18 +95,10 @@ class Kept:
 
 @dataclass(frozen=True)
 class Entry:
-    """A record of the folder.
+    """A record: the name of its run file below the folder, or that of a log that no run file describes (state ``log``).
 
-    Attributes
-    ----------
-    name:
-        Path of the run file below the folder; that of the log if no run file describes it.
-    state:
-        ``log``: no run file describes it. ``faulty``: the run file cannot be used, see ``message``. ``ready``, ``kept``.
-    serial, log, size, changed:
-        Serial number, name, size [bytes] and time of the last change [s since 1970] of the data file.
-    kept:
-        Its kept calibrations, the newest first.
+    Other states are ``faulty`` (the run file cannot be used, see ``message``), ``ready`` and ``kept``. ``log``, ``size`` [bytes]
+    and ``changed`` [s since 1970] are those of the data file. ``kept`` are its calibrations, the newest first.
     """
 
     name: str
@@ -154,6 +148,8 @@ class Folder:
         """The path, if it and the folders around it are no links and no devices. It need not exist."""
         try:
             inside = path.relative_to(self.root)
+            if ".." in inside.parts:
+                raise ValueError
             for place in (*[self.root / part for part in list(inside.parents)[:-1]], path):
                 mode = os.lstat(place).st_mode
                 if not (stat.S_ISDIR(mode) or (place == path and stat.S_ISREG(mode))):
@@ -177,11 +173,12 @@ class Folder:
         return path.relative_to(self.root).as_posix()
 
     def read(self, path: Path, most: int = _MOST_RESULT) -> bytes:
-        """All bytes of a regular file below the folder. No part of its path may be a link, now or meanwhile."""
-        if ".." in path.parts or self.root not in path.parents:
-            raise OutsideError(f"{path.name}: is not a file of this folder", remedy="choose a listed file")
+        """All bytes of a regular file below the folder. No part of its path may be a link."""
+        flags = os.O_RDONLY
+        for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):
+            flags |= getattr(os, name, 0)
         try:
-            with open(path, "rb", opener=lambda *_: self._opened(path)) as stream:
+            with open(path, "rb", opener=lambda *_: os.open(self._checked(path), flags)) as stream:
                 status = os.fstat(stream.fileno())
                 if not stat.S_ISREG(status.st_mode) or status.st_size > most:
                     words = f"{path.name}: is no regular file, or larger than {most >> 20} MiB"
@@ -190,22 +187,6 @@ class Folder:
         except OSError as error:
             words = f"{path.name}: cannot be read ({error.strerror})"
             raise OutsideError(words, remedy="choose a listed file") from None
-
-    def _opened(self, path: Path) -> int:
-        """Number of an opened file below the folder. Each part of its path is opened in the one before, links are not."""
-        flags = os.O_RDONLY
-        for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):
-            flags |= getattr(os, name, 0)
-        if os.open not in os.supports_dir_fd:
-            return os.open(self._checked(path), flags)
-        number = os.open(self.root, flags)
-        for part in path.relative_to(self.root).parts:
-            parent = number
-            try:
-                number = os.open(part, flags, dir_fd=parent)
-            finally:
-                os.close(parent)
-        return number
 
     # --- TOML files -------------------------------------------------------------------------------
 
@@ -251,6 +232,7 @@ class Folder:
         results = {path.parent for path in files if path.name == CALIBRATION}
         files = [path for path in files if path.parent not in results]
         kept = [one for one in map(self.kept, sorted(results)) if one is not None]
+        kept.sort(key=lambda one: (one.version != 0, one.version))
         entries, described = [], set()
         for path in (path for path in files if path.suffix == ".toml"):
             entry: Entry | None = self._once(self._described, path)
@@ -259,10 +241,8 @@ class Folder:
             data = path.parent / entry.log
             described.add(data)
             place = self.name(results_of(path))
-            mine = sorted(
-                (one for one in kept if one.record == place), key=lambda one: (one.version != 0, one.version)
-            )
-            entry = replace(entry, kept=tuple(mine))
+            mine = tuple(one for one in kept if one.record == place)
+            entry = replace(entry, kept=mine)
             if entry.state == "ready" and _is_regular(data):
                 status = data.stat()
                 state = "kept" if mine else "ready"

@@ -45,20 +45,11 @@ class BusyError(ArgumentError):
 
 @dataclass(eq=False)
 class Job:
-    """A job, and what became of its process.
+    """A job: its process with standard input, and the folder of what it prints.
 
-    Attributes
-    ----------
-    child, input, place:
-        Its process, the standard input of it, and the folder of what it prints.
-    command:
-        Arguments of ``piga``; paths are relative to the opened folder.
-    title, subject:
-        What it does, and the record it is for.
-    result:
-        Folder or file of the results below the opened folder, or "".
-    started, ended, asked:
-        Times of the start, of the end (0 before) and of the last question of a page [s since 1970].
+    ``command`` are the arguments of ``piga``, ``title`` and ``subject`` what it does and the record it is for, ``result`` the
+    folder or file of the results below the opened folder. ``started``, ``ended`` and ``asked`` are times [s since 1970]: of the
+    start, of the end (0 before), and of the last question of a page.
     """
 
     child: subprocess.Popen[bytes]

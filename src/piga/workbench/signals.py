@@ -48,13 +48,13 @@ FORM = 9
 
 
 class Signal(msgspec.Struct, frozen=True):
-    """One column of a record: key, title, shown unit, factor from SI to it, picture it belongs to, offset of the unit."""
+    """One column of a record: key, title, shown unit, factor from SI to it, number of its figure, offset of the unit."""
 
     key: str
     title: str
     unit: str
     factor: float
-    group: str
+    figure: int
     offset: float = 0.0
 
 
@@ -200,26 +200,24 @@ def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
 def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
     degree, is_angle = 180.0 / np.pi, run.kind == "angle"
-    output = Signal("output", "output rate", "deg/s", degree, "output")
-    difference = Signal("difference", f"{run.quantity} minus K ∫aₓdt", "deg", degree, "difference")
+    output = Signal("output", "output rate", "deg/s", degree, 0)
+    difference = Signal("difference", f"{run.quantity} minus K ∫aₓdt", "deg", degree, 1)
     if run.direct:
-        output = Signal("output", "output", run.output_unit, 1.0, "output")
+        output = Signal("output", "output", run.output_unit, 1.0, 0)
         difference = msgspec.structs.replace(difference, unit="count", factor=1.0)
     elif is_angle:
-        output = Signal("output", "output angle", "rev", 0.5 / np.pi, "output")
+        output = Signal("output", "output angle", "rev", 0.5 / np.pi, 0)
     signals: list[tuple[Signal, Any]] = [(output, run.output), *([(difference, None)] if is_angle else [])]
-    vectors = [("f", "a_", "g", 1.0 / G0, "specific force", run.f)]
+    vectors = [("f", "a_", "g", 1.0 / G0, 2, run.f)]
     if run.base_rate is not None:
-        vectors.append(("rate", "Ω_", "deg/s", degree, "base rate", run.base_rate))
-    for key, title, unit, factor, group, values in vectors:
+        vectors.append(("rate", "Ω_", "deg/s", degree, 3, run.base_rate))
+    for key, title, unit, factor, figure, values in vectors:
         for index, axis in enumerate("XYZ"):
-            signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, group), values[:, index]))
+            signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, figure), values[:, index]))
     if run.temperature is not None:
         unit, factor = temperature_unit.replace("deg", "°"), 1.0 / parse_unit(temperature_unit).factor
         offset = -offset_to_si(temperature_unit) * factor
-        signals.append(
-            (Signal("temperature", "temperature", unit, factor, "temperature", offset), run.temperature)
-        )
+        signals.append((Signal("temperature", "temperature", unit, factor, 4, offset), run.temperature))
     return signals
 
 

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from piga.workbench.folder import Folder, History
-from piga.workbench.jobs import Jobs
+from piga.certificate.certificate_file import read_certificate_file
+from piga.workbench.folder import Folder
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.later import _items, _own
-from piga.workbench.security import Door
+from piga.workbench.pages.later import _document, _items, _own
 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> object:
-    folder = Folder(tmp_path)
-    jobs = Jobs(tmp_path)
-    yield Bench(folder, jobs, History(folder), Door(1))
-    jobs.stop_all()
+    made = Bench(Folder(tmp_path))
+    yield made
+    made.jobs.stop_all()
 
 
 def test_entries_of_the_example_are_nobodys_own(bench: Bench, tmp_path: Path) -> None:
@@ -38,3 +36,23 @@ def test_a_number_is_used_once(bench: Bench, tmp_path: Path) -> None:
     assert _own(bench, None)["certificate.number"] != first
     (item,) = [one for one in _items(bench, {"certificate.number": first}) if one.key == "certificate.number"]
     assert "was used" in item.refusal
+
+
+def test_entries_that_the_form_does_not_show_stay_in_the_file(bench: Bench, tmp_path: Path) -> None:
+    own = '[certificate]\nreplaces = "2025-0001"\n[people.authorised]\nname = "A"\n'
+    (tmp_path / "certificate.toml").write_text(own, encoding="utf-8")
+    rows = "Air temperature; 20.3 degC; 0.4 K\nHumidity; 46 %"
+    text = _document(
+        bench, {"certificate.number": "7", "people.authorised.name": "B", "environment": rows}, whole=False
+    )
+    made = read_certificate_file("certificate.toml", content=text)
+    assert (made.certificate.number, made.certificate.replaces, made.people.authorised.name) == (
+        "7",
+        "2025-0001",
+        "B",
+    )
+    assert [(one.name, one.value, one.uncertainty) for one in made.environment] == [
+        ("Air temperature", "20.3 degC", "0.4 K"), ("Humidity", "46 %", ""),
+    ]  # fmt: skip
+    (item,) = [one for one in _items(bench, {"environment": "a; b; c; d"}) if one.key == "environment"]
+    assert "too many parts" in item.refusal

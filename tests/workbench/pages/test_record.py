@@ -14,11 +14,10 @@ import piga
 from piga.records.run_file import read_run_file
 from piga.workbench import jobs as room
 from piga.workbench import signals
-from piga.workbench.folder import Folder, History
+from piga.workbench.folder import Folder
 from piga.workbench.jobs import Jobs
 from piga.workbench.pages.common import Bench
 from piga.workbench.pages.record import _cache_of, _fitted
-from piga.workbench.security import Door
 from tests.workbench.conftest import Client, shipped_record, wait_until
 
 NAME, TERMS = "tumble-a.toml", ("scale_factor", "tan_beta", "k0")
@@ -28,8 +27,8 @@ pytestmark = pytest.mark.long
 def test_the_thinned_copy_is_answered_first_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signals, "LONG", 1000)
     run = shipped_record(tmp_path)
-    folder, jobs = Folder(tmp_path), Jobs(tmp_path)
-    bench = Bench(folder, jobs, History(folder), Door(1))
+    bench = Bench(Folder(tmp_path))
+    jobs = bench.jobs
     cache = _cache_of(bench, NAME)
     monkeypatch.setattr(signals, "THINNED", 5000)
     outline = signals.write_envelopes(piga.read_run(run), read_run_file(run), cache)

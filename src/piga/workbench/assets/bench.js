@@ -7,20 +7,26 @@ const tickNumbers = (u, splits, axis, space, step) => {
   return splits.map((value) => (value === null ? "" : (digits > 7 && value ? short(value) : value.toFixed(Math.min(digits, 7))).replace("-", "\u2212")));
 };
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const axisStyle = () => ({ values: tickNumbers, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--grid"), width: 1 } });
+// A chart that follows its place and the colours of the system.
+const chart = (place, height, labels, options, data) => {
+  const axis = { values: tickNumbers, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--grid"), width: 1 }, labelSize: 22 };
+  const axes = [{ ...axis, label: labels[0], size: 40 }, { ...axis, label: labels[1], size: 72 }];
+  const plot = new uPlot({ width: place.clientWidth, height, axes, ...options }, data, place);
+  new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height })).observe(place);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plot.redraw());
+  return plot;
+};
 
 const curves = (place) => {
   const figure = JSON.parse(place.dataset.figure);
   const roles = ["--role-after", "--role-muted", "--bad", "--role-y"];
-  const series = figure.series.map((one, index) => ({
-    label: one.name, stroke: () => colour(roles[index % 4]), width: one.point ? 0 : 2, points: { show: one.point, size: 11, fill: () => colour(roles[index % 4]) },
-    value: (u, value) => (value === null || value === undefined ? "" : value.toPrecision(5)),
-  }));
-  const plot = new uPlot({
-    width: place.clientWidth, height: 260, series: [{ label: figure.labels[0], value: (u, v) => (v === null ? "" : v.toPrecision(5)) }, ...series], scales: { x: { time: false } }, legend: { live: false },
-    axes: [{ ...axisStyle(), label: figure.labels[0], labelSize: 24 }, { ...axisStyle(), label: figure.labels[1], labelSize: 24, size: 74 }],
-  }, [figure.x, ...figure.series.map((one) => one.values)], place);
-  new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height: 260 })).observe(place);
+  const value = (u, shown) => shown?.toPrecision(5) ?? "";
+  const series = figure.series.map((one, index) => {
+    const stroke = () => colour(roles[index % 4]);
+    return { label: one.name, stroke, value, width: one.point ? 0 : 2, points: { show: one.point, size: 11, fill: stroke } };
+  });
+  const options = { series: [{ label: figure.labels[0], value }, ...series], scales: { x: { time: false } }, legend: { live: false } };
+  chart(place, 260, figure.labels, options, [figure.x, ...figure.series.map((one) => one.values)]);
   place.removeAttribute("data-figure");
 };
 
@@ -53,27 +59,21 @@ const upload = () => {
 };
 
 const records = () => {
-  const list = document.getElementById("records");
+  const [list, search, sort] = ["records", "search", "sort"].map((id) => document.getElementById(id));
   if (!list) return;
-  const search = document.getElementById("search");
-  const sort = document.getElementById("sort");
-  const find = () => {
+  const apply = () => {
     const words = search.value.toLowerCase().split(/\s+/);
-    for (const item of list.children) item.hidden = !words.every((word) => item.dataset.words.toLowerCase().includes(word));
-    sessionStorage.setItem("search", search.value);
-  };
-  const order = () => {
     const key = sort.value;
     const less = key === "day" ? (a, b) => b.dataset.day - a.dataset.day : (a, b) => a.dataset[key].localeCompare(b.dataset[key], undefined, { numeric: true });
     list.append(...[...list.children].sort(less));
+    for (const item of list.children) item.hidden = !words.every((word) => item.dataset.words.toLowerCase().includes(word));
+    sessionStorage.setItem("search", search.value);
     sessionStorage.setItem("sort", key);
   };
   search.value = sessionStorage.getItem("search") || "";
   sort.value = sessionStorage.getItem("sort") || "day";
-  search.addEventListener("input", find);
-  sort.addEventListener("change", order);
-  find();
-  if (sort.value !== "day") order();
+  [search, sort].forEach((one) => one.addEventListener("input", apply));
+  apply();
 };
 
 // The server is asked now and then. If it is lost the page says so, and goes on when it answers again.

@@ -47,7 +47,7 @@ const startPicture = () => {
     if (marked) band(u, { first: marked[0], last: marked[1] }, colour("--left-out"), "marked");
     u.ctx.strokeStyle = colour("--bad");
     u.ctx.setLineDash([4, 4]);
-    for (const time of record.findings.filter((one) => one >= shown[0] && one <= shown[1])) {
+    for (const time of record.findings.map(([, at]) => at).filter((at) => at > 0 && at >= shown[0] && at <= shown[1])) {
       const x = Math.round(u.valToPos(time, "x", true));
       u.ctx.beginPath(); u.ctx.moveTo(x, u.bbox.top); u.ctx.lineTo(x, u.bbox.top + u.bbox.height); u.ctx.stroke();
     }
@@ -62,11 +62,9 @@ const startPicture = () => {
     }
     const lines = picture.signals.flatMap((one) => [0, 1].map(() => ({ stroke: one.colour, width: 1.25, points: { show: false } })));
     const between = picture.signals.map((one, index) => ({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${one.colour()} 35%, transparent)` }));
-    picture.plot = new uPlot({
-      width: picture.place.clientWidth, height: 200, series: [{}, ...lines], bands: between,
+    picture.plot = chart(picture.place, 200, ["time since the first sample [s]", picture.signals[0].unit], {
+      series: [{}, ...lines], bands: between, legend: { show: false },
       scales: { x: { time: false, auto: false, min: shown[0], max: shown[1] } },
-      axes: [{ ...axisStyle(), label: "time since the first sample [s]", labelSize: 22, size: 40 }, { ...axisStyle(), label: picture.signals[0].unit, labelSize: 22, size: 70 }],
-      legend: { show: false },
       cursor: { sync: { key: "record" }, drag: { x: true, y: false, setScale: false } },
       hooks: {
         setCursor: [readout],
@@ -77,7 +75,7 @@ const startPicture = () => {
         }],
         drawAxes: [bands],
       },
-    }, data, picture.place);
+    }, data);
   };
 
   const load = async (picture, turn) => {
@@ -133,8 +131,6 @@ const startPicture = () => {
   };
   document.querySelectorAll("[data-move]").forEach((button) => button.addEventListener("click", () => show(...moves[button.dataset.move](...shown))));
   document.querySelectorAll(".go").forEach((button) => button.addEventListener("click", () => show(Number(button.dataset.time) - duration / 100, Number(button.dataset.time) + duration / 100)));
-  new ResizeObserver(() => pictures.forEach((picture) => picture.plot?.setSize({ width: picture.place.clientWidth, height: 200 }))).observe(page);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   show(0, duration);
 };
 document.addEventListener("DOMContentLoaded", startPicture);

@@ -6,9 +6,8 @@ import re
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, quote
 
@@ -23,9 +22,9 @@ from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
 from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
-from piga.workbench.folder import ChangedError, Folder, History, OutsideError
+from piga.workbench.folder import TRIALS, ChangedError, Folder, History, OutsideError
 from piga.workbench.jobs import BusyError, Jobs
-from piga.workbench.security import REPORT_POLICY, Door
+from piga.workbench.security import REPORT_POLICY
 
 _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
 """Largest form [bytes], and most of its fields."""
@@ -45,15 +44,12 @@ _STATUSES: dict[type[Exception], int] = {
 """Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
-@dataclass(frozen=True)
 class Bench:
     """What the pages work on. ``answers``: the last answers of each record, the newest first."""
 
-    folder: Folder
-    jobs: Jobs
-    history: History
-    door: Door
-    answers: dict[str, list[str]] = field(default_factory=dict)
+    def __init__(self, folder: Folder) -> None:
+        self.folder, self.jobs, self.history = folder, Jobs(folder.root), History(folder)
+        self.answers: dict[str, list[str]] = {}
 
 
 def bench_of(request: Request) -> Bench:
@@ -112,11 +108,15 @@ def start(request: Request, command: Sequence[str], title: str, subject: str, re
     return redirect(f"/jobs/{bench.jobs.start(command, title, subject, result).key}")
 
 
-def result_file(bench: Bench, path: Path, *, draft: bool = False) -> Response:
-    """A result file: a page in a frame without any rights, everything else to save."""
-    raw = bench.folder.read(path)
+def _file(request: Request) -> Response:
+    """A file of the folder, or of an answer that is not kept: a page in a frame without any rights, all else to save."""
+    folder, name = bench_of(request).folder, request.path_params["name"]
+    is_trial = name.startswith(TRIALS)
+    path = folder.root / name if is_trial else folder.file(name)
+    raw = folder.read(path)
     if path.suffix == ".html":
-        if draft and b'class="draft"' not in raw:  # the command marks a laboratory of the example itself
+        is_draft = is_trial and path.name.startswith("certificate")
+        if is_draft and b'class="draft"' not in raw:  # the command marks a laboratory of the example itself
             raw += _environment().get_template("draft.html.jinja").render().encode()
         return HTMLResponse(raw, headers={"content-security-policy": REPORT_POLICY})
     headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(path.name)}"}
@@ -183,20 +183,11 @@ def in_line(error: PigaError) -> str:
 
 @dataclass(frozen=True)
 class Field:
-    """A question of a form.
+    """A question of a form: its key, what it asks for, an example and a note.
 
-    Attributes
-    ----------
-    key, words, example, note:
-        Its key, what it asks for, an example and a remark.
-    typed, unit, refusal:
-        What was typed, the chosen unit, and why the entry is refused.
-    like, units:
-        A unit of the kind that a quantity has ("": a text), and the units of its menu.
-    choices:
-        Values and words of a menu.
-    rows:
-        Lines of a text, 0 for one line.
+    ``typed``, ``unit`` and ``refusal`` are what was typed, the chosen unit, and why the entry is refused. ``like`` is a unit of
+    the kind that a quantity has ("": a text), ``units`` are those of its menu. ``choices`` are values and words of a menu,
+    ``rows`` the lines of a longer text.
     """
 
     key: str
@@ -253,4 +244,8 @@ def _health(_request: Request) -> Response:
     return PlainTextResponse("ok\n")
 
 
-ROUTES = [Route("/healthz", _health), Mount("/assets", StaticFiles(packages=[("piga.workbench", "assets")]))]
+ROUTES = [
+    Route("/healthz", _health),
+    Route("/file/{name:path}", _file),
+    Mount("/assets", StaticFiles(packages=[("piga.workbench", "assets")])),
+]

@@ -21,7 +21,7 @@ from piga.data import example_files
 from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
 from piga.records.text_files import toml_document
-from piga.workbench.folder import CALIBRATION, STATE_FOLDER, ChangedError, Kept, OutsideError
+from piga.workbench.folder import CALIBRATION, ChangedError, Kept, OutsideError
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import (
     Bench,
@@ -32,7 +32,6 @@ from piga.workbench.pages.common import (
     in_line,
     redirect,
     render,
-    result_file,
     start,
 )
 from piga.workbench.pages.record import kept_of, left
@@ -102,15 +101,19 @@ def _typed(text: str, example: Any) -> Any:
     return [{key: cell for key, cell in zip(columns, line, strict=False) if cell} for line in lines]
 
 
+def _mine(bench: Bench) -> dict[str, Any]:
+    """The laboratory's own certificate file."""
+    with contextlib.suppress(PigaError):
+        return toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode())
+    return {}
+
+
 def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
-    example, mine = _example(), {}
-    with contextlib.suppress(PigaError):
-        mine = _entries(toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode()))
-    own = {key: example[key] for key in _USUAL if key in example}
-    own |= {
-        key: value for key, value in mine.items() if key in example and (key in _USUAL or value != example[key])
-    }
+    example = _example()
+    mine = {key: value for key, value in _entries(_mine(bench)).items() if key in example}
+    own = {key: example[key] for key in _USUAL}
+    own |= {key: value for key, value in mine.items() if key in _USUAL or value != example[key]}
     entries = {key: _shown(value, example[key]) for key, value in own.items()}
     if kept is not None:
         entries |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
@@ -148,18 +151,18 @@ def _items(bench: Bench, values: dict[str, str]) -> list[Field]:
     return items
 
 
-def _document(values: dict[str, str], *, whole: bool) -> str:
-    """The certificate file. ``whole``: with the example's entries where there are no own ones, for a draft."""
+def _document(bench: Bench, values: dict[str, str], *, whole: bool) -> str:
+    """The certificate file with what was typed. ``whole``: with the example's entries where there are no own ones, for a draft."""
     import tomlkit
 
-    document: dict[str, Any] = {}
+    document = _mine(bench)
     for key, example in _example().items():
-        text = values.get(key, "").strip()
+        text, (*path, last) = values.get(key, "").strip(), key.split(".")
+        table = document
+        for part in path:
+            table = table.setdefault(part, {})
+        table.pop(last, None)
         if text or whole:
-            *path, last = key.split(".")
-            table = document
-            for part in path:
-                table = table.setdefault(part, {})
             table[last] = _typed(text, example) if text else example
     return str(tomlkit.dumps(document))
 
@@ -189,12 +192,12 @@ def _issue(request: Request, sent: Sent, kept: Kept, values: dict[str, str], *, 
     """Save the laboratory's entries; show a draft, or issue the certificate."""
     bench = bench_of(request)
     bench.history.write(
-        CERTIFICATE, sent.get("seen", ""), _document(values, whole=False), "certificate entries"
+        CERTIFICATE, sent.get("seen", ""), _document(bench, values, whole=False), "certificate entries"
     )
     out, source, title = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE, "Certificate"
     if is_draft:
         place = bench.folder.state_room("trials") / secrets.token_hex(8)
-        place.with_suffix(".toml").write_text(_document(values, whole=True), encoding="utf-8")
+        place.with_suffix(".toml").write_text(_document(bench, values, whole=True), encoding="utf-8")
         out, title = bench.folder.name(place), "DRAFT certificate"
         source = f"{out}.toml"
     else:
@@ -368,7 +371,7 @@ def _show_job(request: Request) -> Response:
     """One job: its state, what it printed, its files."""
     bench, job = _job_of(request)
     state = job.state
-    files = [path.name for path in _result_files(bench, job)] if state == "done" else []
+    files = _result_files(bench, job) if state == "done" else []
     line = f"piga {shlex.join(job.command)}"
     out, err = job.text("out"), job.text("err")
     return render(request, "job.html.jinja", job=job, state=state, line=line, files=files, out=out, err=err)
@@ -391,26 +394,13 @@ def _stop_job(request: Request) -> Response:
     return redirect(request.headers.get("referer") or "/jobs")
 
 
-def _job_file(request: Request) -> Response:
-    """A result file of a job."""
-    bench, job = _job_of(request)
-    name = request.path_params["file"]
-    path = next((item for item in _result_files(bench, job) if item.name == name), None)
-    if path is None:
-        raise OutsideError(f"{name}: is not a result of this job", remedy="choose a listed file")
-    return result_file(bench, path, draft=job.title.startswith("DRAFT"))
-
-
-def _result_files(bench: Bench, job: Job) -> list[Path]:
+def _result_files(bench: Bench, job: Job) -> list[str]:
     """The files that a job wrote: those of its folder, or its file and the page beside it."""
     if not job.result or job.result.startswith("signals/"):
         return []
-    is_trial = job.result.startswith(f"{STATE_FOLDER}/trials/")
-    place = bench.folder.root / job.result if is_trial else bench.folder.path(job.result)
-    files = [place, place.with_suffix(".html")]
-    if place.is_dir() and not place.is_symlink():
-        files = sorted(path for path in place.iterdir() if not path.name.startswith("."))
-    return [path for path in files if path.is_file() and not path.is_symlink()]
+    place = bench.folder.root / job.result
+    files = sorted(place.iterdir()) if place.is_dir() else [place, place.with_suffix(".html")]
+    return [bench.folder.name(path) for path in files if path.is_file() and not path.name.startswith(".")]
 
 
 ROUTES = [
@@ -422,5 +412,4 @@ ROUTES = [
     Route("/jobs/{key}", _show_job),
     Route("/jobs/{key}/progress", _progress),
     Route("/jobs/{key}/stop", _stop_job, methods=["POST"]),
-    Route("/jobs/{key}/file/{file}", _job_file),
 ]

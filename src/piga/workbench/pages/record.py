@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import secrets
 import shutil
 import tempfile
@@ -26,7 +25,7 @@ from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
 from piga.reports.render.numbers import rounded
-from piga.workbench.folder import STATE_FOLDER, Entry, Kept, OutsideError, results_of
+from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
 from piga.workbench.jobs import FIT, BusyError, Job
 from piga.workbench.pages.common import (
     Bench,
@@ -36,7 +35,6 @@ from piga.workbench.pages.common import (
     posted,
     redirect,
     render,
-    result_file,
 )
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
@@ -111,17 +109,14 @@ async def _take(request: Request) -> Response:
     """A file that was dropped in. Its bytes are the body; its name is in the address."""
     folder = bench_of(request).folder
     target = folder.free_name(request.query_params.get("name", ""))
-    words = f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB"
-    too_large = TooLargeError(words, remedy="copy it into the folder")
-    if int(request.headers.get("content-length", "0")) > MOST_UPLOAD:
-        raise too_large
     part = folder.state_room("parts") / secrets.token_hex(8)
     try:
         with part.open("xb") as stream:
             async for piece in request.stream():
                 stream.write(piece)
                 if stream.tell() > MOST_UPLOAD:
-                    raise too_large
+                    words = f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB"
+                    raise TooLargeError(words, remedy="copy it into the folder")
         await run_in_threadpool(put_in_place, part, target, replace=False)
     finally:
         part.unlink(missing_ok=True)
@@ -174,7 +169,7 @@ def _show(request: Request) -> Response:
         values["waits"] = error.message
         outline = job = None
     if outline is not None:
-        values |= {"groups": _groups(outline), "drawn": _drawn(outline)}
+        values["drawn"] = msgspec.json.encode(outline).decode()
         values["right"] = _answer(bench, name, outline, request.query_params.getlist("term"))
     elif entry.state == "faulty" or (job is not None and job.state in _ENDED):
         told = entry.message if job is None else job.text("err").removeprefix("piga: ")
@@ -200,21 +195,6 @@ def _reading(bench: Bench, name: str) -> tuple[Outline | None, Job | None]:
     if is_open:
         return None, last
     return None, bench.jobs.start(("envelopes", name, str(cache)), "Read the record", name, mark)
-
-
-def _groups(outline: Outline) -> dict[str, list[Any]]:
-    """The signals by the figure that shows them."""
-    groups: dict[str, list[Any]] = {}
-    for signal in outline.signals:
-        groups.setdefault(signal.group, []).append(signal)
-    return groups
-
-
-def _drawn(outline: Outline) -> str:
-    """What the script draws into the figures."""
-    parts = msgspec.to_builtins(outline)
-    drawn = {key: parts[key] for key in ("duration", "positions", "left_out", "moves")}
-    return json.dumps(drawn | {"findings": [time for _, time in outline.findings if time]})
 
 
 def _repairs(bench: Bench, entry: Entry) -> list[Any]:
@@ -316,9 +296,9 @@ def _leave_out(bench: Bench, name: str, document: Any, sent: Sent) -> str:
 # --- the answer -----------------------------------------------------------------------------------
 
 
-def _trials(bench: Bench) -> Path:
-    """Folder of the answers that are not kept."""
-    return bench.folder.state_room("trials")
+def _trial(bench: Bench, key: str) -> Path:
+    """Folder of an answer that is not kept."""
+    return bench.folder.root / TRIALS / key
 
 
 def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dict[str, Any]:
@@ -354,7 +334,7 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
     last = bench.answers.get(name, [])
     if every == 1 and key not in last[:1]:
         bench.answers[name] = last = [key, *last][:2]
-    former = next((bench.folder.kept(_trials(bench) / one) for one in last if one != key), None)
+    former = next((bench.folder.kept(_trial(bench, one)) for one in last if one != key), None)
     return values | {"answer": answer, "every": every, "fit": fit, "key": key, "rows": _rows(answer, former)}
 
 
@@ -362,8 +342,8 @@ def _fitted(
     bench: Bench, name: str, key: str, terms: tuple[str, ...], outline: Outline
 ) -> tuple[Kept | None, int, Job | None]:
     """The best answer so far, from each how many samples, and the job of a better one."""
-    job = bench.jobs.latest(name, f"{STATE_FOLDER}/trials/{key}")
-    answer = bench.folder.kept(_trials(bench) / key) if job is None or job.state == "done" else None
+    job = bench.jobs.latest(name, f"{TRIALS}{key}")
+    answer = bench.folder.kept(_trial(bench, key)) if job is None or job.state == "done" else None
     if answer is not None:
         return answer, 1, None
     early = None
@@ -372,13 +352,13 @@ def _fitted(
         first = _fit(bench, name, run, f"{key}-first", terms, "--no-report")
         if first.state in ("running", "stopped"):
             return None, 1, first
-        early = bench.folder.kept(_trials(bench) / f"{key}-first")
+        early = bench.folder.kept(_trial(bench, f"{key}-first"))
     return early, outline.thinned, _fit(bench, name, name, key, terms)
 
 
 def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *options: str) -> Job:
     """The job of an answer."""
-    place = f"{STATE_FOLDER}/trials/{key}"
+    place = f"{TRIALS}{key}"
     command = ("calibrate", run, "--terms", ",".join(terms), "--out", place, *options)
     return bench.jobs.latest(name, place) or bench.jobs.start(command, FIT, name, place)
 
@@ -405,7 +385,7 @@ def _in_words(kept: Kept) -> str:
 def _keep(request: Request, sent: Sent) -> Response:
     """Keep an answer: its files go where the command writes them. An older result becomes a version of its own."""
     bench, name, key = bench_of(request), request.path_params["name"], sent.get("key", "")
-    answer = bench.folder.kept(_trials(bench) / key) if key in bench.answers.get(name, ()) else None
+    answer = bench.folder.kept(_trial(bench, key)) if key in bench.answers.get(name, ()) else None
     if answer is None:
         raise CalibrationError("this answer is not there any more", remedy="reload the page")
     verdict = answer.calibration.verdict
@@ -423,7 +403,7 @@ def _keep(request: Request, sent: Sent) -> Response:
                 older = target.with_name(f"{target.name}-v{number}")
                 former = target.rename(bench.folder.path(bench.folder.name(older)))
             part = bench.folder.state_room("parts") / key
-            shutil.copytree(_trials(bench) / key, part, dirs_exist_ok=True)
+            shutil.copytree(_trial(bench, key), part, dirs_exist_ok=True)
             part.rename(target)
             bench.history.note(f"keep {_in_words(answer)}", target, former)
     return _back(request, f"/record/{quote(name)}")
@@ -445,19 +425,6 @@ def _show_kept(request: Request) -> Response:
     names = [path.name for path in bench.folder.files() if bench.folder.name(path.parent) == name]
     values = left(bench, entry.name if entry else "")
     return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
-
-
-def _kept_file(request: Request) -> Response:
-    """A file of a kept calibration."""
-    bench = bench_of(request)
-    kept = kept_of(bench, request.path_params["name"])
-    return result_file(bench, bench.folder.file(f"{kept.name}/{request.path_params['file']}"))
-
-
-def _trial_report(request: Request) -> Response:
-    """The report of an answer."""
-    bench = bench_of(request)
-    return result_file(bench, _trials(bench) / request.path_params["key"] / "report.html")
 
 
 def _discard(request: Request) -> Response:
@@ -509,9 +476,7 @@ ROUTES = [
     Route("/record/{name:path}", posted(_change), methods=["POST"]),
     Route("/signal-data/{name:path}", _data),
     Route("/keep/{name:path}", posted(_keep), methods=["POST"]),
-    Route("/trial/{key:str}/report.html", _trial_report),
     Route("/compare", _compare),
-    Route("/kept/{name:path}/file/{file}", _kept_file),
     Route("/kept/{name:path}/discard", _discard, methods=["POST"]),
     Route("/kept/{name:path}", _show_kept),
 ]
