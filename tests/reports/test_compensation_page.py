@@ -72,7 +72,7 @@ def test_the_correction_is_the_cross_coupling(kind):
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
     outline = of_record(record, cal, piga.compensate(record, cal))
-    indicated, correction = (outline.curve(f"{name} a_x")[1] for name in ("indicated", "correction"))
+    indicated, correction = (outline.curves[f"{name} a_x"] for name in ("indicated", "correction"))
     known = np.isfinite(correction)
     np.testing.assert_allclose((indicated - correction)[known], G0, rtol=1e-6)
     assert abs(outline.rms("correction a_x") / (TAN_BETA * G0 / np.sqrt(2.0)) - 1.0) < 0.05

@@ -89,7 +89,6 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
     )
     findings = quality_table(quality) if quality.events else Notice("good", "Nothing was found.")
     terms = (Section("Terms", "terms", (prospects_table(prospects),)),) if prospects else ()
-    drawn = partial(record_figure, run)
     return Page(
         f"Record of {run.serial}",
         Path(run.source).name,
@@ -97,7 +96,7 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
         (
             Section("Findings", "findings", (findings,)),
             *terms,
-            Section("The record", "picture", (drawn,)),
+            Section("The record", "picture", (partial(record_figure, run),)),
             origin(run.input_sha256),
         ),
         kicker="piga check",

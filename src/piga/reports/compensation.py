@@ -1,11 +1,10 @@
-"""Reports of a compensation, for one instrument and for several that were solved together: reduced data, figures, page."""
+"""A compensation shown, of one instrument or of several that were solved together: curves, figures, page."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -20,63 +19,71 @@ from piga.compensation.model import MEANING
 from piga.compensation.result import Inputs
 from piga.errors import CalibrationError
 from piga.records.arrays import changes, middles
-from piga.records.calibration import Calibration, Coefficient, Residuals
+from piga.records.calibration import Calibration, Residuals
 from piga.records.run import Run
-from piga.records.terms import shown_unit
 from piga.reports.calibration.figures import spectrum_figure
-from piga.reports.calibration.tables import judgement, scale_factor, sentence
-from piga.reports.render.envelope import POINTS, envelope_rows, leading_part
+from piga.reports.calibration.tables import coefficient_table, judgement, quality_table, scale_factor, sentence
+from piga.reports.render.envelope import POINTS, leading_part
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
-from piga.reports.render.numbers import count, pretty_unit, rounded, short
-from piga.reports.render.page import (
-    ALONE,
-    Judgement,
-    Notice,
-    Page,
-    Section,
-    TableOf,
-    Tile,
-    Tone,
-    named_values,
-)
+from piga.reports.render.numbers import count, rounded, short
+from piga.reports.render.page import ALONE, Judgement, Notice, Page, Section, TableOf, Tile, Tone, named_values
+from piga.reports.render.page import sections as shown_sections
 from piga.results import Array
 from piga.units import G0, MICRO_G
 
-Flags = NDArray[np.int32]
 
-CURVE_POINTS = 1 << 15
-"""Most points of an envelope; fewer rows are kept whole."""
+class CompensationOutline:
+    """A compensation with its records and calibrations, and its curves (n,) by name [m/s^2].
 
+    The components are ``a_x``; of a set ``f_x``, ``f_y``, ``f_z``. A curve is a component itself, or has ``indicated``,
+    ``correction`` or ``u`` before its name. A set also has ``correction`` of each instrument, and a redundant one
+    ``residual`` and ``misfit`` of each. A curve that is not known is missing.
+    """
 
-def rms(values: Array) -> float:
-    """Root mean square of the values that are finite; nan where there is none."""
-    finite = values[np.isfinite(values)]
-    return math.sqrt(float(finite @ finite) / finite.size) if finite.size else math.nan
+    def __init__(
+        self,
+        result: Compensated | CompensatedSet,
+        records: Sequence[Run] = (),
+        calibrations: Sequence[Calibration] = (),
+        mounted: Sequence[Mounted] = (),
+    ) -> None:
+        self.result, self.records, self.calibrations = result, tuple(records), tuple(calibrations)
+        self.mounted, self.t = tuple(mounted), result.t - result.t[0]
+        single = isinstance(result, Compensated)
+        self.components = ("a_x",) if single else tuple(f"f_{axis}" for axis in XYZ)
+        force, u = (result.ax, result.u_ax) if isinstance(result, Compensated) else (result.f, result.u_f)
+        self.curves = dict(zip(self.components, force.reshape(result.size, -1).T, strict=True))
+        if u.size:
+            named = (f"u {name}" for name in self.components)
+            self.curves |= dict(zip(named, u.reshape(result.size, -1).T, strict=True))
 
+    def add_indicated(self, *indicated: Array) -> None:
+        """Add what the instruments indicate of each component."""
+        for name, values in zip(self.components, indicated, strict=True):
+            self.curves |= {f"indicated {name}": values, f"correction {name}": values - self.curves[name]}
 
-@dataclass(frozen=True)
-class Indication:
-    """One instrument: rms of its correction [m/s^2], and rows of each flag."""
+    @property
+    def redundant(self) -> bool:
+        """True if there are more instruments than unknowns, so that a misfit exists."""
+        return len(self.mounted) > 3
 
-    calibration: Calibration
-    scale_factor: float
-    correction: float
-    flagged: dict[str, int]
+    def flags_of(self, instrument: int) -> NDArray[np.int32]:
+        """Flags of one instrument; those of all if they are not known apart."""
+        each = getattr(self.result, "each", None)
+        return each[instrument] if each is not None and each.size else self.result.flags
 
+    def raised(self) -> dict[str, Array]:
+        """Times of the rows with each flag that is raised, since the first row [s]."""
+        times = {name: self.t[self.result.flagged(name)] for name in FLAGS if self.result.flags.size}
+        return {name: t for name, t in times.items() if t.size}
 
-def _indication_of(
-    record: Run, calibration: Calibration, begins: NDArray[np.bool_], ax: Array, flags: Flags
-) -> tuple[Indication, Array]:
-    """An instrument with its compensation, and the indicated specific force [m/s^2]."""
-    K = scale_factor(calibration)
-    h, turn, _ = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
-    if record.kind == "rate":
-        omega = 0.0 if record.base_rate is None else record.base_rate[:, 0]
-        indicated = (record.output + omega) / K
-    else:
-        indicated = turn / (K * np.where(h > 0.0, h, np.nan))
-    flagged = {name: int(np.count_nonzero(flags & bit)) for name, bit in FLAGS.items()}
-    return Indication(calibration, K, rms(indicated - ax), flagged), indicated
+    def rms(self, *names: str) -> float:
+        """Root mean square of all finite values of curves, taken together as components; nan without values."""
+        finite = [
+            values[np.isfinite(values)] for name in names if (values := self.curves.get(name)) is not None
+        ]
+        parts = [float(values @ values) / values.size for values in finite if values.size]
+        return math.sqrt(sum(parts)) if parts else math.nan
 
 
 def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -92,93 +99,37 @@ def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Arra
     return h, turn, psi
 
 
-class CompensationOutline:
-    """Outline of a compensation: its result and records, and envelopes of its curves.
-
-    Curves by name, for each of the ``components`` (``a_x``; or ``f_x``, ``f_y``, ``f_z`` of a set): the component itself,
-    ``indicated``, ``correction`` and ``u`` before its name; of a set also ``residual`` and a ``misfit`` of each instrument.
-    """
-
-    def __init__(
-        self, result: Compensated | CompensatedSet, records: Sequence[Run], mounted: Sequence[Mounted] = ()
-    ) -> None:
-        self.result, self.records, self.mounted = result, tuple(records), tuple(mounted)
-        self.components = tuple(f"f_{axis}" for axis in XYZ) if mounted else ("a_x",)
-        self.instruments: list[Indication] = []
-        self.size, self.t = result.size, result.t - result.t[0]
-        self.velocity = np.atleast_1d(result.dv.sum(axis=0))
-        self.u_velocity = np.atleast_1d(result.u_velocity)
-        self._curves: dict[str, tuple[Array, Array]] = {}
-        self._rms: dict[str, float] = {}
-
-    @property
-    def flags(self) -> dict[str, Array]:
-        """Times of the rows with each flag that is raised, since the first row [s]."""
-        times = {name: self.t[self.result.flagged(name)] for name in FLAGS if self.result.flags.size}
-        return {name: t for name, t in times.items() if t.size}
-
-    @property
-    def redundant(self) -> bool:
-        """True if there are more instruments than unknowns, so that a misfit exists."""
-        return len(self.mounted) > 3
-
-    def add(self, name: str, values: Array) -> None:
-        """Add a curve of all rows."""
-        rows = envelope_rows(values, CURVE_POINTS)
-        self._curves[name], self._rms[name] = (self.t[rows], values[rows]), rms(values)
-
-    def add_component(self, name: str, indicated: Array, force: Array, u: Array) -> None:
-        """Add the curves of a component [m/s^2]; ``u`` may be empty."""
-        curves = {"": force, "indicated ": indicated, "correction ": indicated - force, "u ": u}
-        for kind, values in curves.items():
-            if values.size:
-                self.add(kind + name, values)
-
-    def curve(self, name: str) -> tuple[Array, Array]:
-        """Times since the first row [s], and the envelope of a curve."""
-        return self._curves[name]
-
-    def has(self, name: str) -> bool:
-        """Whether the curve has a value."""
-        return math.isfinite(self.rms(name))
-
-    def rms(self, name: str) -> float:
-        """Root mean square of all values of a curve; nan where there is none."""
-        return self._rms.get(name, math.nan)
+def _indicated(
+    record: Run, calibration: Calibration, begins: NDArray[np.bool_], flags: NDArray[np.int32]
+) -> Array:
+    """Specific force that the output indicates along the input axis [m/s^2]."""
+    K = scale_factor(calibration)
+    if record.kind == "rate":
+        omega = 0.0 if record.base_rate is None else record.base_rate[:, 0]
+        return (record.output + omega) / K
+    h, turn, _ = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
+    return turn / (K * np.where(h > 0.0, h, np.nan))
 
 
 def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
     """Outline of a single instrument."""
-    outline = CompensationOutline(result, [record])
-    one, indicated = _indication_of(record, calibration, record.begins, result.ax, result.flags)
-    outline.instruments.append(one)
-    outline.add_component("a_x", indicated, result.ax, result.u_ax)
+    outline = CompensationOutline(result, [record], [calibration])
+    outline.add_indicated(_indicated(record, calibration, record.begins, result.flags))
     return outline
 
 
 def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: CompensatedSet) -> CompensationOutline:
     """Outline of a set; ``result`` with details."""
-    outline = CompensationOutline(result, records, mounted)
+    outline = CompensationOutline(result, records, [item.calibration for item in mounted], mounted)
     begins = np.logical_or.reduce([record.begins for record in records])
-    from_axes = np.linalg.pinv(np.array([item.axes[0] for item in mounted], dtype=float))
-    indicated = np.zeros((3, result.size))
+    axes = np.array([item.axes[0] for item in mounted], dtype=float)
+    along = np.empty((len(records), result.size))
     for i, (record, item) in enumerate(zip(records, mounted, strict=True)):
-        axis, flags = (
-            np.asarray(item.axes[0], dtype=float),
-            result.each[i] if result.each.size else result.flags,
-        )
-        one, along = _indication_of(record, item.calibration, begins, result.f @ axis, flags)
-        outline.instruments.append(one)
-        for k, share in enumerate(from_axes[:, i]):
-            indicated[k] += share * along
+        along[i] = _indicated(record, item.calibration, begins, outline.flags_of(i))
+        outline.curves[f"correction {i}"] = along[i] - result.f @ axes[i]
         if outline.redundant:
-            outline.add(f"misfit {i}", result.misfit[i])
-    for k, name in enumerate(outline.components):
-        outline.add_component(
-            name, indicated[k], result.f[:, k], result.u_f[:, k] if result.u_f.size else result.u_f
-        )
-    if outline.redundant:
-        outline.add("residual", result.residual)
+            outline.curves |= {f"misfit {i}": result.misfit[i], "residual": result.residual}
+    outline.add_indicated(*(np.linalg.pinv(axes) @ along))
     return outline
 
 
@@ -190,21 +141,11 @@ TIME = "time since the first row [s]"
 _FLAG_ROLES: dict[str, Role] = {"no_increment": "muted", "near_critical": "model", "age": "reference"}
 
 
-def error_figures(
-    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Figure, ...]:
-    """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
-
-    ``scale_factor`` is K [(rad/s)/(m/s^2)]; ``noise`` the white noise of the angle [rad, rms] and its random walk [rad/sqrt(s)].
-    """
-    errors = compensation_errors(record, result, scale_factor)
-    if record.direct:
-        return (error_figure(errors),)
-    return error_figure(errors), _error_spectrum_figure(leading_part(errors), scale_factor, noise)
-
-
 def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
-    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated (``before``) and compensated (``after``)."""
+    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated (``before``) and compensated (``after``).
+
+    ``scale_factor`` is K [(rad/s)/(m/s^2)].
+    """
     h, turn, psi = _turned(record, record.begins)
     force = h * middles(record.f[:, 0])
     scale = 1.0 if record.direct else scale_factor
@@ -215,7 +156,34 @@ def compensation_errors(record: Run, result: Compensated, scale_factor: float) -
     return Residuals(number, record.t, psi, nothing, before, after, nothing, segment, unit=unit)
 
 
-def in_windows(residuals: Residuals) -> Residuals:
+def error_figures(
+    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Figure, ...]:
+    """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
+
+    ``scale_factor`` is K [(rad/s)/(m/s^2)]; ``noise`` the white noise of the angle [rad, rms] and its random walk [rad/sqrt(s)].
+    """
+    errors = compensation_errors(record, result, scale_factor)
+    error = "velocity error [mm/s]" if record.direct else "velocity error as output angle [mrad]"
+    plot = Plot("compensation-error", "Error before and after compensation.", TIME, error)
+    plot.line(errors.t - errors.t[0], 1e3 * errors.before, "as indicated", "before")
+    plot.line(errors.t - errors.t[0], 1e3 * errors.after, "compensated", "after")
+    if record.direct:
+        return (plot.caption("The running error of the velocity against the reference."),)
+    drawn = spectrum_figure(order_spectrum(_in_windows(leading_part(errors)), scale_factor, noise))
+    in_time = plot.caption(
+        "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
+        "ripples once a revolution and drifts; what is left after compensation is the noise of the output."
+    )
+    caption = (
+        "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
+        "the servo at order 2. After a good compensation no order stands out of the noise."
+    )
+    title = "Error in revolution order."
+    return in_time, replace(drawn, key="compensation-spectrum", title=title, caption=caption, notes=())
+
+
+def _in_windows(residuals: Residuals) -> Residuals:
     """The residuals with every segment cut into windows of ``_WINDOW`` turns: where the force changes, so does the drift.
 
     A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
@@ -228,114 +196,59 @@ def in_windows(residuals: Residuals) -> Residuals:
     return replace(residuals, segment=segment.astype(np.int32))
 
 
-def error_figure(errors: Residuals) -> Figure:
-    """Error of the velocity against time before and after."""
-    plot = Plot(
-        "compensation-error",
-        "Error before and after compensation.",
-        TIME,
-        "velocity error as output angle [mrad]" if errors.unit == "rad" else "velocity error [mm/s]",
-    )
-    roles: tuple[tuple[Role, str], ...] = (("before", "as indicated"), ("after", "compensated"))
-    for role, name in roles:
-        plot.line(errors.t - errors.t[0], 1e3 * getattr(errors, role), name, role)
-    if errors.unit != "rad":
-        return plot.caption("The running error of the velocity against the reference.")
-    return plot.caption(
-        "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
-        "ripples once a revolution and drifts; what is left after compensation is the noise of the output."
-    )
-
-
-def _error_spectrum_figure(errors: Residuals, scale_factor: float, noise: tuple[float, float]) -> Figure:
-    drawn = spectrum_figure(order_spectrum(in_windows(errors), scale_factor, noise))
-    caption = (
-        "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
-        "the servo at order 2. After a good compensation no order stands out of the noise."
-    )
-    title = "Error in revolution order."
-    return replace(drawn, key="compensation-spectrum", title=title, caption=caption, notes=())
-
-
 def force_figure(outline: CompensationOutline) -> Figure:
     """Indicated and compensated specific force, their difference, and the uncertainty, against time."""
-    components = outline.components
-    roles: tuple[Role, ...] = ("data",) if len(components) == 1 else XYZ
-    where = "along the input axis" if len(components) == 1 else "in the common frame"
+    components, curves, t = outline.components, outline.curves, outline.t
+    single = len(components) == 1
+    where = "along the input axis" if single else "in the common frame"
     plot = Plot("compensation-force", f"Specific force {where}.", height=2.3)
+    roles: tuple[Role, ...] = ("model",) if single else XYZ
+    named = list(zip(components, roles, strict=True))
     for name in components:
         plot.panel(TIME, f"specific force {name} [g]")
-        plot.line(*_curve(outline, f"indicated {name}", G0), "indicated", "before")
-        plot.line(*_curve(outline, name, G0), "compensated", "after")
-    plot.panel(TIME, "correction [µg]")
-    for name, role in zip(components, roles, strict=True):
-        plot.line(*_curve(outline, f"correction {name}", MICRO_G), f"correction of {name}", role)
-    if outline.has(f"u {components[0]}"):
-        curves = [_curve(outline, f"u {name}", MICRO_G) for name in components]
-        highest = max(float(np.nanmax(u)) for _, u in curves)
-        plot.panel(TIME, Axis("standard uncertainty", "µg", limits=(0.0, 1.15 * highest or 1.0)))
-        for (t, u), name, role in zip(curves, components, roles, strict=True):
-            plot.line(t, u, f"u({name}) of a row", "model" if role == "data" else role)
-    along = (
-        ""
-        if len(components) == 1
-        else " Several instruments: taken as force along the input axes, by least squares."
-    )
+        if f"indicated {name}" in curves:
+            plot.line(t, curves[f"indicated {name}"] / G0, "indicated", "before")
+        plot.line(t, curves[name] / G0, "compensated", "after")
+    if outline.records:
+        plot.panel(TIME, "correction [µg]")
+        for name, role in named:
+            plot.line(t, curves[f"correction {name}"] / MICRO_G, f"correction of {name}", role)
+    u = [curves[f"u {name}"] / MICRO_G for name in components if f"u {name}" in curves]
+    if u and math.isfinite(outline.rms(f"u {components[0]}")):
+        plot.panel(TIME, Axis("standard uncertainty", "µg", limits=(0.0, 1.15 * float(np.nanmax(u)) or 1.0)))
+        for (name, role), values in zip(named, u, strict=True):
+            plot.line(t, values, f"u({name}) of a row", role)
+    if not outline.records:
+        return plot.caption("Compensated specific force, and its standard uncertainty.")
+    along = " Several instruments: taken as force along the input axes, by least squares."
     note = f"Outlines of at most {POINTS} points; lowest and highest values are kept."
     return plot.caption(
-        f"Indicated: output rate over the calibrated scale factor, the base rate added where it is recorded.{along} "
-        "The correction, indicated less compensated, is the cross-coupling and the error terms of the calibration; both "
-        "curves carry the same noise, so it does not.",
-        *([] if outline.size <= POINTS else [note]),
+        "Indicated: output rate over the calibrated scale factor, the base rate added where it is recorded."
+        f"{'' if single else along} The correction, indicated less compensated, is the cross-coupling and the error terms "
+        "of the calibration; both curves carry the same noise, so it does not.",
+        *([] if t.size <= POINTS else [note]),
     )
-
-
-def _curve(outline: CompensationOutline, name: str, unit: float) -> tuple[Array, Array]:
-    t, y = outline.curve(name)
-    return t, y / unit
 
 
 def misfit_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure:
     """Residual of a redundant set, and how far each instrument is from the force that fits all."""
     plot = Plot("compensation-misfit", "What the instruments say against each other.", height=1.7)
     plot.panel(TIME, "residual of the set [µg]")
-    plot.line(*_curve(outline, "residual", MICRO_G), "residual: root of the summed squares")
+    plot.line(outline.t, outline.curves["residual"] / MICRO_G, "residual: root of the summed squares")
     for i, name in enumerate(names):
         plot.panel(TIME, f"misfit of {name} [µg]")
-        plot.line(*_curve(outline, f"misfit {i}", MICRO_G), "misfit", "model")
+        plot.line(outline.t, outline.curves[f"misfit {i}"] / MICRO_G, "misfit", "model")
     return plot.caption(
         "Indication of an instrument less the force that fits all, along its effective input axis. Noise is good; a line, "
         "a step or a drift in one of them points at its calibration, its mounting, its phase or a fault."
     )
 
 
-def result_figure(result: Compensated | CompensatedSet) -> Figure:
-    """Force, correction and uncertainty; without its record the compensated force alone."""
-    if isinstance(result, Compensated) and result.made_from is not None:
-        run, calibration = result.made_from
-        return force_figure(of_record(run, calibration, result))
-    columns, t = result.columns(), result.t - result.t[0]
-    names: dict[str, tuple[str, Role]] = {"ax": ("a_x", "after")}
-    names |= {f"f{axis}": (f"f{axis}", axis) for axis in XYZ}
-    where = "along the input axis" if "ax" in columns else "in the common frame"
-    plot = Plot("compensation-force", f"Specific force {where}.", TIME, "specific force [g]", height=2.3)
-    shown = [key for key in names if key in columns]
-    for key in shown:
-        plot.line(t, columns[key] / G0, *names[key])
-    if f"u_{shown[0]}" in columns:
-        plot.panel(TIME, "standard uncertainty [µg]")
-        for key in shown:
-            plot.line(t, columns[f"u_{key}"] / MICRO_G, f"u({names[key][0]}) of a row", names[key][1])
-    return plot.caption("Compensated specific force, and its standard uncertainty.")
-
-
-def flag_figure(outline: CompensationOutline) -> Figure | None:
-    """Times of every raised flag; None if no flag is raised."""
-    if not outline.flags:
-        return None
+def _flag_figure(outline: CompensationOutline) -> Figure:
+    """Times of every raised flag."""
     axis = Axis("bit position of flag", "1", limits=(-0.5, 9.5))
     plot = Plot("compensation-flags", "Flags against time.", TIME, axis, height=2.8)
-    for name, t in outline.flags.items():
+    for name, t in outline.raised().items():
         bit = FLAGS[name].bit_length() - 1
         rows = "1 row" if t.size == 1 else f"{t.size} rows"
         shown = t[:: -(-t.size // POINTS)]
@@ -351,14 +264,16 @@ COMPARED_ROWS = 1 << 18
 
 
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
-    """The figure of a compensation in memory."""
-    return {"force": partial(result_figure, result)}
+    """The figure of a compensation in memory; without its record the compensated force alone."""
+    made = result.made_from if isinstance(result, Compensated) else None
+    outline = CompensationOutline(result) if made is None else of_record(*made, result)  # type: ignore[arg-type]
+    return {"force": partial(force_figure, outline)}
 
 
 def brief(result: Compensated | CompensatedSet) -> Page:
     """What a notebook and the terminal show of a compensation in memory."""
     facts = named_values("", "", result.in_brief())
-    return Page(result.heading(), sections=(Section("", "result", (facts, result_figure(result))),))
+    return Page(result.heading(), sections=(Section("", "result", (facts, figures(result)["force"])),))
 
 
 def page(result: Compensated) -> Page:
@@ -375,12 +290,6 @@ def page(result: Compensated) -> Page:
     )
 
 
-def _coefficient_words(c: Coefficient) -> tuple[str, str]:
-    """A coefficient with its standard uncertainty in brackets, and its unit, as the calibration's own report has them."""
-    scale, unit = shown_unit(c.name, c.unit)
-    return rounded(c.value * scale, c.std * scale).concise, pretty_unit(unit)
-
-
 def compensation_page(
     outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
 ) -> Page:
@@ -388,24 +297,22 @@ def compensation_page(
 
     ``files`` are all files read, each with the SHA-256 of the bytes read; ``options`` those given, in words.
     """
-    single, kind = not outline.mounted, outline.records[0].kind
-    serial = outline.instruments[0].calibration.serial
-    sections = [Section("Specific force", "specific-force", (force_figure(outline),))]
-    if not single:
-        sections.append(_misfit(outline, names))
-    direct = outline.instruments[0].calibration.direct
-    if single:
-        sections.append(_reference(outline))
-    sections.append(_flags(outline, names))
-    if not single:
-        sections.append(_instruments(outline, names))
-    sections += [*_repairs(outline), _provenance(outline, names, files, options)]
+    first, kind = outline.calibrations[0], outline.records[0].kind
+    found = [quality_table(record.quality) for record in outline.records if record.quality.events]
+    many = f"{len(outline.mounted)} instruments"
     return Page(
-        title=f"Compensation of {serial if single else f'{len(outline.mounted)} instruments'}",
-        subtitle=f"{', '.join(names)}; {count(outline.size)} rows; the output is of kind "
-        f"{'count' if direct and kind == 'angle' else kind}.",
+        title=f"Compensation of {many if outline.mounted else first.serial}",
+        subtitle=f"{', '.join(names)}; {count(outline.t.size)} rows; the output is of kind "
+        f"{'count' if first.direct and kind == 'angle' else kind}.",
         tiles=_tiles(outline),
-        sections=tuple(sections),
+        sections=shown_sections(
+            Section("Specific force", "specific-force", (force_figure(outline),)),
+            _misfit(outline, names) if outline.mounted else _reference(outline),
+            _flags(outline, names),
+            *([_instruments(outline, names)] if outline.mounted else []),
+            Section("Found while reading", "repairs", tuple(found)),
+            _provenance(outline, names, files, options),
+        ),
         judgement=_judgement(outline, names),
         kicker="piga · compensation",
         footer=f"Made by piga {__version__} on {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}. {ALONE}",
@@ -414,53 +321,49 @@ def compensation_page(
 
 def _judgement(outline: CompensationOutline, names: Sequence[str]) -> Judgement:
     """The verdicts on all calibrations in one box, the worst on top; each doubt of a set names its instruments."""
-    each = [judgement(instrument.calibration) for instrument in outline.instruments]
+    each = [judgement(calibration) for calibration in outline.calibrations]
     if len(each) == 1:
-        return judgement(outline.instruments[0].calibration, "The calibration that was used: ")
-    worst = max(each, key=lambda one: _SEVERITY.index(one.tone))
+        return judgement(outline.calibrations[0], "The calibration that was used: ")
+    tones: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")
+    worst = max(each, key=lambda one: tones.index(one.tone))
     named: dict[tuple[str, str], list[str]] = {}
-    for name, instrument in zip(names, outline.instruments, strict=True):
-        for doubt in instrument.calibration.verdict.doubts:
+    for name, calibration in zip(names, outline.calibrations, strict=True):
+        for doubt in calibration.verdict.doubts:
             named.setdefault((sentence(doubt.what), doubt.remedy), []).append(name)
-    problems = tuple((f"{', '.join(names)}: {what}", remedy) for (what, remedy), names in named.items())
-    tested, open_ones = (
-        tuple(dict.fromkeys(words for one in each for words in getattr(one, name)))
-        for name in ("tested", "not_tested")
-    )
+    problems = tuple((f"{', '.join(those)}: {what}", remedy) for (what, remedy), those in named.items())
+    tested = dict.fromkeys(words for one in each for words in one.tested)
+    untested = dict.fromkeys(words for one in each for words in one.not_tested)
     headline = f"The calibrations that were used: {worst.headline}"
-    return Judgement(worst.tone, headline, "", problems, tested, open_ones)
+    return Judgement(worst.tone, headline, "", problems, tuple(tested), tuple(untested))
 
 
-_SEVERITY: tuple[Tone, ...] = ("", "quiet", "good", "doubtful", "bad")
-
-
-def _micro_g(value: float) -> str:
+def _micro_g(outline: CompensationOutline, *names: str) -> str:
+    value = outline.rms(*names)
     return short(value / MICRO_G) if math.isfinite(value) else "–"
 
 
-def _together(outline: CompensationOutline, kind: str) -> str:
-    """Root mean square of a kind of curve, all components together."""
-    return _micro_g(math.hypot(*(outline.rms(f"{kind} {name}") for name in outline.components)))
-
-
 def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
-    velocity = ", ".join(short(float(v), 4) for v in outline.velocity)
-    axes = "" if len(outline.velocity) == 1 else " x, y, z"
-    known = [short(u, 2) for u in outline.u_velocity if math.isfinite(u)]
+    result, components = outline.result, outline.components
+    velocity = ", ".join(short(float(v), 4) for v in np.atleast_1d(result.dv.sum(axis=0)))
+    known = [short(float(u), 2) for u in np.atleast_1d(result.u_velocity) if math.isfinite(u)]
     u = f"standard uncertainty {', '.join(known)} m/s; " if known else ""
+    correction, own = (_micro_g(outline, *(f"{kind} {c}" for c in components)) for kind in ("correction", "u"))
     tiles = [
-        Tile(f"Velocity{axes}", velocity, "m/s", f"{u}sum of dv; time between stretches is not counted"),
-        Tile("Correction, rms", _together(outline, "correction"), "µg", "indicated less compensated"),
+        Tile(
+            "Velocity" if len(components) == 1 else "Velocity x, y, z",
+            velocity,
+            "m/s",
+            f"{u}sum of dv; time between stretches is not counted",
+        ),
+        Tile("Correction, rms", correction, "µg", "indicated less compensated"),
     ]
-    if outline.has(f"u {outline.components[0]}"):
-        tiles.append(Tile("u, rms", _together(outline, "u"), "µg", "standard uncertainty of one row"))
-    if outline.has("residual"):
-        tiles.append(Tile("Residual, rms", _micro_g(outline.rms("residual")), "µg", "of the redundant set"))
-    flagged = int(np.count_nonzero(outline.result.flags & ~FLAGS["no_increment"]))
-    share = short(100.0 * flagged / max(outline.size, 1))
-    tone: Tone = "good" if flagged == 0 else "doubtful"
-    detail = f"{share} % of the rows, no_increment not counted"
-    return (*tiles, Tile("Rows with a flag", count(flagged), "", detail, tone))
+    if own != "–":
+        tiles.append(Tile("u, rms", own, "µg", "standard uncertainty of one row"))
+    if outline.redundant:
+        tiles.append(Tile("Residual, rms", _micro_g(outline, "residual"), "µg", "of the redundant set"))
+    flagged = int(np.count_nonzero(result.flags & ~FLAGS["no_increment"]))
+    detail = f"{short(100.0 * flagged / max(result.size, 1))} % of the rows, no_increment not counted"
+    return (*tiles, Tile("Rows with a flag", count(flagged), "", detail, "doubtful" if flagged else "good"))
 
 
 def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
@@ -478,103 +381,81 @@ def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
 
 def _reference(outline: CompensationOutline) -> Section:
     title, anchor = "Against the reference", "reference"
-    if not isinstance(outline.result, Compensated) or outline.size > COMPARED_ROWS:
+    if not isinstance(outline.result, Compensated) or outline.t.size > COMPARED_ROWS:
         text = f"The error against the reference along the input axis is shown for records of at most {count(COMPARED_ROWS)} rows."
         return Section(title, anchor, (Notice("info", text),))
-    instrument = outline.instruments[0]
-    noise = (instrument.calibration.angle_rms, instrument.calibration.angle_random_walk)
+    calibration = outline.calibrations[0]
+    noise = (calibration.angle_rms, calibration.angle_random_walk)
     lead = (
         "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
         "these are the errors against it; they hold the errors of that reference, too."
     )
-    drawn = error_figures(outline.records[0], outline.result, instrument.scale_factor, noise)
+    drawn = error_figures(outline.records[0], outline.result, scale_factor(calibration), noise)
     return Section(title, anchor, (lead, *drawn))
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    figure = flag_figure(outline)
-    if figure is None:
+    raised = outline.raised()
+    if not raised:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
     table = (
-        TableOf(outline.flags.items())
+        TableOf(raised.items())
         .text("flag", lambda row: row[0])
         .number("bit", lambda row: str(FLAGS[row[0]]))
         .number("rows", lambda row: count(row[1].size))
-        .number("share", lambda row: short(100.0 * row[1].size / outline.size), "%")
+        .number("share", lambda row: short(100.0 * row[1].size / outline.t.size), "%")
     )
     notes: tuple[str, ...] = ()
     if outline.mounted:
-        instruments = list(zip(names, outline.instruments, strict=True))
-        table.across(instruments, lambda one: one[0], lambda row, one: count(one[1].flagged[row[0]]))
+        flags = {name: outline.flags_of(i) for i, name in enumerate(names)}
+        table.across(names, str, lambda row, name: count(int(np.count_nonzero(flags[name] & FLAGS[row[0]]))))
         notes = ("A row of the set carries the flags of all its instruments. A fault is one of the set.",)
     table.number("first at", lambda row: short(float(row[1][0]), 6), "s")
     table.number("last at", lambda row: short(float(row[1][-1]), 6), "s")
     table.text("meaning", lambda row: MEANING[row[0]])
     caption = "Flags that were raised; times since the first row."
     said = [Notice("warning", words) for words in outline.result.notes]
-    return Section("Flags", "flags", (*said, figure, table.table(caption, notes)))
+    return Section("Flags", "flags", (*said, _flag_figure(outline), table.table(caption, notes)))
 
 
 def _instruments(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    indices = range(len(outline.instruments))
-    table = (
-        TableOf(indices)
-        .text("instrument", lambda i: names[i])
-        .across(
-            range(3),
-            lambda axis: f"X0 along {XYZ[axis]}",
-            lambda i, axis: short(float(outline.mounted[i].axes[0][axis]), 6),
-        )
-        .number("correction, rms", lambda i: _micro_g(outline.instruments[i].correction), "µg")
-        .number("misfit, rms", lambda i: _micro_g(outline.rms(f"misfit {i}")), "µg")
-        .table("Input axes in the common frame; what was taken out and what is left.")
+    table = TableOf(range(len(names))).text("instrument", lambda i: names[i])
+    table.across(
+        range(3),
+        lambda axis: f"X0 along {XYZ[axis]}",
+        lambda i, axis: short(float(outline.mounted[i].axes[0][axis]), 6),
     )
-    return Section("Instruments", "instruments", (table,))
-
-
-def _repairs(outline: CompensationOutline) -> tuple[Section, ...]:
-    """What was found in the records while they were read; nothing where nothing was."""
-    repairs: Counter[str] = Counter()
-    for record in outline.records:
-        repairs.update({event.kind: event.count for event in record.quality.events})
-    if not repairs:
-        return ()
-    table = (
-        TableOf(repairs.items())
-        .text("finding", lambda item: item[0])
-        .number("count", lambda item: count(item[1]))
-        .table("Repairs of the record.")
-    )
-    return (Section("Found while reading", "repairs", (table,)),)
+    table.number("correction, rms", lambda i: _micro_g(outline, f"correction {i}"), "µg")
+    table.number("misfit, rms", lambda i: _micro_g(outline, f"misfit {i}"), "µg")
+    caption = "Input axes in the common frame; what was taken out and what is left."
+    return Section("Instruments", "instruments", (table.table(caption),))
 
 
 def _provenance(
     outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
 ) -> Section:
-    many = len(outline.instruments) > 1
+    """How it was compensated, with which coefficients, and the files."""
+    many = len(names) > 1
     options = dict(options)
-    coefficients = []
-    for name, instrument in zip(names, outline.instruments, strict=True):
-        calibration, of = instrument.calibration, f" ({name})" if many else ""
-        made = calibration.provenance
+    for name, calibration in zip(names, outline.calibrations, strict=True):
+        made, of = calibration.provenance, f" ({name})" if many else ""
         options[f"calibration of{of}"] = f"{calibration.serial}, by {made.software} on {made.created}"
         if not calibration.direct:
             options[f"phases of the calibration{of}"] = calibration.phases
-        options[f"scale factor of the indication{of}"] = (
-            f"{short(instrument.scale_factor, 8)} ({calibration.unit})/(m/s²)"
-        )
-        coefficients += [(name, c) for c in calibration.coefficients]
+        K = short(scale_factor(calibration), 8)
+        options[f"scale factor of the indication{of}"] = f"{K} ({calibration.unit})/(m/s²)"
     for name, item in zip(names, outline.mounted, strict=False):
         if item.phase is not None:
             phase = rounded(item.phase.value, item.phase.std).concise
             options[f"phase used ({name})"] = f"{phase} rad, as given"
-    table = TableOf(coefficients)
-    if many:
-        table.text("instrument", lambda row: row[0])
-    table.text("coefficient", lambda row: row[1].key)
-    table.number("value", lambda row: _coefficient_words(row[1])[0])
-    table.text("unit", lambda row: _coefficient_words(row[1])[1])
+    used = [
+        replace(
+            coefficient_table(calibration, every=True),
+            caption=f"Coefficients of the calibration{f' of {name}' if many else ''}.",
+            notes=(),
+        )
+        for name, calibration in zip(names, outline.calibrations, strict=True)
+    ]
     how = named_values("", "", options, "How it was compensated.")
     read = named_values("file", "SHA-256", files, "Files as they were read.", code=True)
-    used = table.table("Coefficients of the calibration, standard uncertainty in brackets.")
-    return Section("Provenance", "provenance", (how, used, read))
+    return Section("Provenance", "provenance", (how, *used, read))

@@ -110,55 +110,46 @@ _CRITERIA = {
 
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
+    drawn = figures(plan)
     lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
-    places = partial(_dwell_figure, plan)
-    sections = [
-        Section("The test", "the-test", (lead, places, _visit_table(plan))),
+    shown = [
+        Section("The test", "the-test", (lead, drawn["positions"], _visit_table(plan))),
         Section("What it will give", "what-it-gives", (_uncertainty_table(plan),)),
+        *([] if plan.cheapest is None else [Section("Time", "time", (_cheapest(plan, plan.cheapest),))]),
     ]
-    if plan.cheapest is not None:
-        sections.append(Section("Time", "time", (_cheapest(plan, plan.cheapest),)))
-    if not plan.request.direct:
+    if "lock" in drawn:
         left_out: Notice | Table = Notice("info", "No candidate is in or near the lock zone.")
         if plan.excluded:
             rows = ((item.candidate.label, item.reason) for item in plan.excluded)
             left_out = named_values("candidate", "reason", rows, "Candidates left out.")
-        sections.append(Section("Lock zone", "lock-zone", (partial(_lock_figure, plan), left_out)))
+        shown.append(Section("Lock zone", "lock-zone", (drawn["lock"], left_out)))
     if mounting is not None:
         blocks = (_mounting_notice(mounting), partial(_mounting_figure, mounting))
-        sections.append(Section("Mounting", "mounting", blocks))
+        shown.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
         subtitle=f"{len(plan.best.visits)} visits in {short(plan.best.duration)} s, moves of {short(plan.request.move)} s.",
         tiles=_tiles(plan),
-        sections=tuple(sections),
+        sections=tuple(shown),
         kicker="piga · plan",
         footer=f"Made by piga {__version__}. Predicted from the expected coefficients and noise; nothing was measured.",
     )
 
 
 def _tiles(plan: Plan) -> tuple[Tile, ...]:
-    reference = plan.reference
+    reference, best = plan.reference, plan.best
     tiles = [
-        Tile("Visits", str(len(plan.best.visits)), detail=f"of {len(plan.candidates)} candidates"),
-        Tile("Recorded", short(plan.best.recorded), "s", f"of {short(plan.best.duration)} s"),
+        Tile("Visits", str(len(best.visits)), detail=f"of {len(plan.candidates)} candidates"),
+        Tile("Recorded", short(best.recorded), "s", f"of {short(best.duration)} s"),
     ]
     if not reference.refusal:
-        ratios = [plan.best.std(name) / reference.std(name) for name in plan.names]
+        ratios = [best.std(name) / reference.std(name) for name in plan.names]
         gain = math.exp(sum(map(math.log, ratios)) / len(ratios)) if min(ratios) > 0.0 else 0.0
-        tiles.append(
-            Tile(
-                "Uncertainty",
-                f"{100.0 * abs(1.0 - gain):.0f}",
-                "% smaller" if gain <= 1.0 else "% larger",
-                f"than {reference.name}, geometric mean",
-                "good" if gain <= 1.0 else "",
-            )
-        )
-    tiles.append(
-        Tile("Efficiency", f"{100.0 * plan.efficiency:.1f}", "%", "of the bound that no test can exceed")
-    )
-    return tuple(tiles)
+        unit, than = f"% {'smaller' if gain <= 1.0 else 'larger'}", f"than {reference.name}, geometric mean"
+        number = f"{100.0 * abs(1.0 - gain):.0f}"
+        tiles.append(Tile("Uncertainty", number, unit, than, "good" if gain <= 1.0 else ""))
+    efficiency = f"{100.0 * plan.efficiency:.1f}"
+    return (*tiles, Tile("Efficiency", efficiency, "%", "of the bound that no test can exceed"))
 
 
 def _visit_table(plan: Plan) -> Table:
@@ -182,9 +173,13 @@ def _uncertainty_table(plan: Plan) -> Table:
     )
     for one in plan.standard:
         table.number(one.name, _over_planned(plan, one))
-    refusals = tuple(f"{p.name}: {p.refusal}." for p in plan.standard if p.refusal) + _locked_notes(plan)
+    notes = [f"{one.name}: {one.refusal}." for one in plan.standard if one.refusal]
+    for one in plan.standard:
+        margin = plan.request.settings.margin
+        near = [visit.candidate.label for visit in one.visits if visit.candidate.margin < margin]
+        notes += [f"{one.name}: in or near the lock zone at {', '.join(near)}."] if near else []
     caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
-    return table.table(caption, refusals)
+    return table.table(caption, tuple(notes))
 
 
 def _over_planned(plan: Plan, prediction: Prediction) -> Callable[[tuple[str, float, str]], Cell]:
@@ -196,18 +191,6 @@ def _over_planned(plan: Plan, prediction: Prediction) -> Callable[[tuple[str, fl
         return Cell(short(ratio), tone)
 
     return cell
-
-
-def _locked_notes(plan: Plan) -> tuple[str, ...]:
-    """Which standard plans visit positions that this plan leaves out."""
-    notes = []
-    for prediction in plan.standard:
-        near = [
-            v.candidate.label for v in prediction.visits if v.candidate.margin < plan.request.settings.margin
-        ]
-        if near:
-            notes.append(f"{prediction.name}: in or near the lock zone at {', '.join(near)}.")
-    return tuple(notes)
 
 
 def _cheapest(plan: Plan, cheapest: CheapestTest) -> Notice:
@@ -228,12 +211,11 @@ def _cheapest(plan: Plan, cheapest: CheapestTest) -> Notice:
 
 def _mounting_notice(mounting: Mounting) -> Notice:
     kept = list(mounting.acceptable)
+    enough = f"{len(kept)} of {mounting.skews.size} skews keep" if kept else "no skew keeps"
     text = (
         f"best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "
-        f"least |a_x| is {short(mounting.margin)} of a_t tan(beta)"
+        f"least |a_x| is {short(mounting.margin)} of a_t tan(beta); {enough} it at the wanted {mounting.limit:g} or more."
     )
-    enough = f"{len(kept)} of {mounting.skews.size} skews keep" if kept else "no skew keeps"
-    text = f"{text}; {enough} it at the wanted {mounting.limit:g} or more."
     return Notice("good" if mounting.margin >= mounting.limit else "problem", text)
 
 

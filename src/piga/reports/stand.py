@@ -123,22 +123,18 @@ def _imperfection_figure(test: SimulatedTest) -> Figure:
 
 
 def _output_figure(test: SimulatedTest) -> Figure:
-    t, time = _time(test)
-    p = test.profile
+    (t, time), p = _time(test), test.profile
     error = test.rate / test.specimen.instrument.scale_factor - p.force[:, 0]
-    words, unit, scale = "gimbal angle", "rev", 2.0 * math.pi
+    words, unit, scale, what = "gimbal angle", "rev", 2.0 * math.pi, "Revolutions of the outer gimbal"
     if test.specimen.direct:
-        words, unit, scale = "integral of the output", integral_unit(test.specimen.unit), 1.0
-    recorded = np.where(p.recorded, error / MICRO_G, np.nan)
+        words, unit, scale, what = "integral of the output", integral_unit(test.specimen.unit), 1.0, "The count"
     plot = Plot("output", "The output", height=4.6)
-    plot.panel(time, f"{words} [{unit}]", words.capitalize())
-    plot.line(t, test.alpha / scale, words)
+    plot.panel(time, f"{words} [{unit}]", words.capitalize()).line(t, test.alpha / scale, words)
     plot.panel(time, "rate/K less a_x [µg]", "Error of the uncoupled model")
-    plot.line(t, recorded, "indicated less true", "model")
+    plot.line(t, np.where(p.recorded, error / MICRO_G, np.nan), "indicated less true", "model")
     return plot.caption(
-        f"{'The count' if test.specimen.direct else 'Revolutions of the outer gimbal'}, and what calibration has to explain: the "
-        "rate over K less the true specific force along the input axis (recorded segments; base rate and all errors "
-        "included)."
+        f"{what}, and what calibration has to explain: the rate over K less the true specific force along the input "
+        "axis (recorded segments; base rate and all errors included)."
     )
 
 
@@ -206,25 +202,22 @@ def pole_figure(p: TwinParameters) -> Figure:
 
 def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     """The page of a simulated test."""
-    drawn, values = figures(test), imperfection_values(test.imperfections)
+    drawn, values, twin = figures(test), imperfection_values(test.imperfections), test.motion is not None
     off = _values_table(values, "Imperfections of the stand: true less assumed value.") if values else None
     seen = "The lab sees the output only. The lower panel is the truth that a calibration has to find."
     true = _values_table(coefficients(test), "True coefficients, under the names and units of a calibration.")
-    sections = [
-        Section("The stand", "the-stand", (drawn["stand"], drawn.get("imperfections"), off)),
-        Section("The output", "the-output", (seen, drawn["output"], drawn.get("locking"))),
-    ]
-    if test.motion is not None:
-        sections += [_servo_section(test, drawn), _design_section(test.specimen.design)]
-    sections.append(Section("The truth", "the-truth", (true,)))
     duration = test.profile.segments[-1].stop - test.profile.segments[0].start
-    model = "quasi-steady model" if test.model == "quasi-steady" else "servo twin"
-    model = "direct instrument" if test.specimen.direct else model
+    model = "direct instrument" if test.specimen.direct else "servo twin" if twin else "quasi-steady model"
     return Page(
         title="Simulated test" if serial == "simulated" else f"Simulated test of {serial}",
         subtitle=f"{test.stand.kind}, {model}, {short(duration)} s, seed {test.seed}.",
         tiles=_tiles(test),
-        sections=tuple(sections),
+        sections=(
+            Section("The stand", "the-stand", (drawn["stand"], drawn.get("imperfections"), off)),
+            Section("The output", "the-output", (seen, drawn["output"], drawn.get("locking"))),
+            *([_servo_section(test, drawn), _design_section(test.specimen.design)] if twin else []),
+            Section("The truth", "the-truth", (true,)),
+        ),
         kicker="piga · simulated test",
         footer=f"Made by piga {__version__}. All data on this page are simulated.",
     )
@@ -232,76 +225,56 @@ def page(test: SimulatedTest, serial: str = "simulated") -> Page:
 
 def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     e, log, direct = test.electronics, test.log, test.specimen.direct
-    turns = (test.alpha[-1] - test.alpha[0]) / (2.0 * math.pi)
-    tiles = [
-        Tile(
-            "Rows in the log",
-            count(log.t.size),
-            detail=f"{len(log.labels)} segments at {short(e.sample_rate)} Hz",
-        ),
-        Tile(
-            "Output",
-            e.kind,
-            detail=f"{short(e.counts_per_revolution)} per revolution"
-            if e.kind == "counts" and not direct
-            else "",
-        ),
-    ]
-    tiles += [] if direct else [Tile("Net turn of the gimbal", short(float(turns)), "rev")]
-    if test.motion is not None:
-        analysis = analyse_loop(test.specimen.design)
-        lost = sum(word == "lost" for _, word in test.motion.lock_changes())
-        tiles.append(Tile("Lock", f"lost {lost} times" if lost else "kept", tone="bad" if lost else ""))
-        tiles.append(Tile("Nutation", short(analysis.nutation / (2.0 * math.pi)), "Hz"))
-        tiles.append(
-            Tile(
-                "Phase margin",
-                short(math.degrees(analysis.phase_margin)),
-                "°",
-                f"crossover {short(analysis.crossover / (2.0 * math.pi))} Hz",
-                "good" if analysis.stable else "bad",
-            )
-        )
-        tiles.append(
-            Tile("Integration error", short(test.motion.local_error), "rad", "sum of local errors, at most")
-        )
-    return tuple(tiles)
+    counted = f"{short(e.counts_per_revolution)} per revolution" if e.kind == "counts" and not direct else ""
+    recorded = f"{len(log.labels)} segments at {short(e.sample_rate)} Hz"
+    tiles = [Tile("Rows in the log", count(log.t.size), "", recorded), Tile("Output", e.kind, "", counted)]
+    if not direct:
+        turns = float(test.alpha[-1] - test.alpha[0]) / (2.0 * math.pi)
+        tiles.append(Tile("Net turn of the gimbal", short(turns), "rev"))
+    if test.motion is None:
+        return tuple(tiles)
+    loop, error = analyse_loop(test.specimen.design), test.motion.local_error
+    nutation, crossover = (short(rate / (2.0 * math.pi)) for rate in (loop.nutation, loop.crossover))
+    margin = short(math.degrees(loop.phase_margin))
+    lost = sum(word == "lost" for _, word in test.motion.lock_changes())
+    return (
+        *tiles,
+        Tile("Lock", f"lost {lost} times" if lost else "kept", tone="bad" if lost else ""),
+        Tile("Nutation", nutation, "Hz"),
+        Tile("Phase margin", margin, "°", f"crossover {crossover} Hz", "good" if loop.stable else "bad"),
+        Tile("Integration error", short(error), "rad", "sum of local errors, at most"),
+    )
 
 
 def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
     changes = test.motion.lock_changes() if test.motion is not None else ()
     when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
-    lost = f"Pick-off or torque motor left their range: lock {when}."
+    lost = Notice("warning", f"Pick-off or torque motor left their range: lock {when}.") if changes else None
     caption = "What finite servo stiffness does beyond the quasi-steady model (linear prediction)."
     figures = (drawn[name] for name in ("servo", "bode", "step", "poles"))
-    table = _values_table(predictions(test), caption)
-    return Section(
-        "The servo loop", "the-servo", (Notice("warning", lost) if changes else None, *figures, table)
-    )
+    return Section("The servo loop", "the-servo", (lost, *figures, _values_table(predictions(test), caption)))
 
 
 def _design_section(p: TwinParameters) -> Section:
+    def number(value: float) -> str:
+        return "unlimited" if math.isinf(value) else significant(value, 5)
+
     table = (
         TableOf(fields(TwinParameters))
         .text("parameter", lambda entry: entry.metadata["meaning"])
         .text("symbol", lambda entry: entry.metadata["symbol"])
-        .number("value", lambda entry: _number(getattr(p, entry.name)))
+        .number("value", lambda entry: number(getattr(p, entry.name)))
         .text("unit", lambda entry: pretty_unit(entry.metadata["unit"]))
-        .number("plausible range", lambda entry: " to ".join(_number(end) for end in entry.metadata["range"]))
+        .number("plausible range", lambda entry: " to ".join(map(number, entry.metadata["range"])))
         .text("source of the default", lambda entry: entry.metadata["source"])
         .table("Parameters of the twin. Example values describe no real instrument.")
     )
     return Section("The design", "the-design", (table,))
 
 
-def _number(value: float) -> str:
-    return "unlimited" if math.isinf(value) else significant(value, 5)
-
-
 def _values_table(values: tuple[TrueValue, ...], caption: str) -> Table:
-    shown = [(value, *shown_unit(value.name, value.unit)) for value in values]
     return (
-        TableOf(shown)
+        TableOf([(value, *shown_unit(value.name, value.unit)) for value in values])
         .text("name", lambda row: row[0].name + (f"[{row[0].segment}]" if row[0].segment else ""))
         .number("value", lambda row: significant(row[0].value * row[1], 8))
         .text("unit", lambda row: pretty_unit(row[2]))

@@ -75,34 +75,30 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
 
 def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: float | None) -> None:
     scale = scale_of(trend)
+
+    def shown(forecasts: list[Forecast]) -> tuple[np.ndarray, np.ndarray]:
+        values = np.array([[one.value, one.half_width()] for one in forecasts])
+        return scale.shown(values[:, 0]), values[:, 1] * scale.factor
+
     plot.panel(DATE, Axis(scale.quantity, scale.unit), trend.key)
     if trend.model.line is not None:
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
-        further = [trend.next_record(float(time)) for time in grid]
-        middle = scale.shown(np.array([forecast.value for forecast in further]))
-        half = np.array([forecast.half_width() for forecast in further]) * scale.factor
+        middle, half = shown([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
         plot.band(x, middle - half, middle + half, "95 % of further records").line(x, middle, "line", "model")
-    kinds: tuple[tuple[str, Role, bool], ...] = (
-        ("records", "data", False),
-        ("out of control", "warning", True),
-    )
-    for name, role, outside in kinds:
+    for name, role, outside in _KINDS:
         those = [point for point in trend.points if point.outside == outside]
         if those or not outside:
-            plot.points(
-                _dates(start, np.array([point.time for point in those])),
-                scale.shown(np.array([point.value for point in those])),
-                name,
-                role,
-                error=np.array([point.own_half_width for point in those]) * scale.factor,
-                text=tuple(point.record for point in those),
-            )
+            values, time = (np.array([getattr(point, what) for point in those]) for what in ("value", "time"))
+            error = np.array([point.own_half_width for point in those]) * scale.factor
+            names = tuple(point.record for point in those)
+            plot.points(_dates(start, time), scale.shown(values), name, role, error=error, text=names)
     if ahead is not None and trend.model.line is not None:
-        forecast = trend.coefficient_at(ahead)
-        at, value = _dates(start, ahead), scale.shown(forecast.value)
-        error = [forecast.half_width() * scale.factor]
-        plot.points([at], [value], "forecast of the coefficient", "after", error=error)
+        value, half = shown([trend.coefficient_at(ahead)])
+        plot.points([_dates(start, ahead)], value, "forecast of the coefficient", "after", error=half)
+
+
+_KINDS: tuple[tuple[str, Role, bool], ...] = (("records", "data", False), ("out of control", "warning", True))
 
 
 def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> None:
@@ -112,10 +108,8 @@ def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> Non
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
     plot.panel(DATE, "deviation from the forecast [std]", "Control chart")
     plot.points(x, chart.score[seen], "score of a day").line(x, chart.average[seen], "moving average", "model")
-    plot.dashed(x, chart.limit[seen], "limit of the average", "model").dashed(
-        x, -chart.limit[seen], "", "model"
-    )
-    plot.level(ends, limit, "limit of a score", "warning").level(ends, -limit, "", "warning")
+    for sign, name, score in ((1.0, "limit of the average", "limit of a score"), (-1.0, "", "")):
+        plot.dashed(x, sign * chart.limit[seen], name, "model").level(ends, sign * limit, score, "warning")
 
 
 def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
@@ -128,21 +122,26 @@ def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
 
 def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
-    ahead = None if at is None else drifts.years(at)
-    span = drifts.years(drifts.times[-1])
     alarms = [Notice("problem", printed(alarm)) for alarm in drifts.alarms]
     remarks = (Notice("warning", printed(remark)) for remark in drifts.remarks)
     judged = (*(alarms or [Notice("good", "No record is out of control.")]), *remarks)
-    sections = [
-        Section("Judgement", "judgement", judged),
-        Section("Stability and drift", "stability", (_LEAD, _summary_table(drifts, at))),
-    ]
-    sections += [_section(drifts, trend, ahead) for trend in drifts.coefficients]
+    lead = (
+        "Turn-on is the scatter inside a day, day to day the scatter between days, each beyond the records' own "
+        "uncertainties; drift is the line through the days. Intervals are for 95 %, by Student's t. Errors that all "
+        "records share (the same standard) cancel in drift and scatter, and are part of the value and its forecast."
+    )
     return Page(
         title=f"Trend of {drifts.serial}",
         subtitle=f"{len(drifts.records)} records from {drifts.times[0]:%Y-%m-%d} to {drifts.times[-1]:%Y-%m-%d}.",
-        tiles=_tiles(drifts, span),
-        sections=tuple(sections),
+        tiles=_tiles(drifts),
+        sections=(
+            Section("Judgement", "judgement", judged),
+            Section("Stability and drift", "stability", (lead, _summary_table(drifts, at))),
+            *(
+                _section(drifts, trend, None if at is None else drifts.years(at))
+                for trend in drifts.coefficients
+            ),
+        ),
         kicker="piga · trend",
     )
 
@@ -154,41 +153,43 @@ def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
     return replace(short, sections=(*short.sections, Section("", "first", drawn)))
 
 
-_LEAD = (
-    "Turn-on is the scatter inside a day, day to day the scatter between days, each beyond the records' own "
-    "uncertainties; drift is the line through the days. Intervals are for 95 %, by Student's t. Errors that all "
-    "records share (the same standard) cancel in drift and scatter, and are part of the value and its forecast."
-)
+def _drifts(trend: CoefficientTrend) -> bool:
+    """True if the drift is larger than its interval."""
+    return trend.drift is not None and abs(trend.drift.value) > trend.drift.half_width()
 
 
-def _tiles(drifts: Trend, span: float) -> tuple[Tile, ...]:
+def _tiles(drifts: Trend) -> tuple[Tile, ...]:
+    span = drifts.years(drifts.times[-1])
     days = len({point.day for point in drifts.coefficients[0].points}) if drifts.coefficients else 0
-    drifting = [t.key for t in drifts.coefficients if t.drift and abs(t.drift.value) > t.drift.half_width()]
-    count = len(drifts.alarms)
-    period = fixed(span, 1) if span >= 1.0 else f"{span * 365.25:.0f}"
+    drifting = [trend.key for trend in drifts.coefficients if _drifts(trend)]
+    count, of = len(drifts.alarms), f"of {len(drifts.coefficients)}"
+    period, unit = (fixed(span, 1), "years") if span >= 1.0 else (f"{span * 365.25:.0f}", "days")
+    which = ", ".join(drifting) or "none beyond its uncertainty"
     return (
         Tile("Records", str(len(drifts.records)), "", "on 1 day" if days == 1 else f"on {days} days"),
-        Tile("Span", period, "years" if span >= 1.0 else "days"),
+        Tile("Span", period, unit),
         Tile("Alarms", str(count), "", "see below" if count else "all in control", "bad" if count else "good"),
-        Tile(
-            "Coefficients that drift",
-            str(len(drifting)),
-            f"of {len(drifts.coefficients)}",
-            ", ".join(drifting) or "none beyond its uncertainty",
-            "doubtful" if drifting else "good",
-        ),
+        Tile("Coefficients that drift", str(len(drifting)), of, which, "doubtful" if drifting else "good"),
     )
 
 
 def _summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
+    def last_day(trend: CoefficientTrend) -> str:
+        point, scale = trend.points[-1], _scale(trend)
+        return _at(trend, point.time) or rounded(point.value * scale, point.expanded * scale).interval
+
+    def drift(trend: CoefficientTrend) -> str | Cell:
+        shown = "–" if trend.drift is None else _interval(trend.drift, _scale(trend))
+        return Cell(shown, "doubtful" if _drifts(trend) else "")
+
     table = (
         TableOf(drifts.coefficients)
         .text("Coefficient", lambda trend: trend.key)
         .text("Unit", lambda trend: pretty_unit(shown_unit(trend.key, trend.unit)[1]) or "1")
-        .number("On the last day", _last_day)
+        .number("On the last day", last_day)
         .number("Turn-on", lambda trend: short(trend.turn_on * _scale(trend), 2), "std")
         .number("Day to day", lambda trend: short(trend.day_to_day * _scale(trend), 2), "std")
-        .number("Drift per year", _drift)
+        .number("Drift per year", drift)
     )
     if at is not None:
         years = drifts.years(at)
@@ -205,51 +206,29 @@ def _at(trend: CoefficientTrend, years: float) -> str:
     return _interval(trend.coefficient_at(years), _scale(trend)) if trend.model.line else ""
 
 
-def _last_day(trend: CoefficientTrend) -> str:
-    point, scale = trend.points[-1], _scale(trend)
-    return _at(trend, point.time) or rounded(point.value * scale, point.expanded * scale).interval
-
-
-def _drift(trend: CoefficientTrend) -> str | Cell:
-    drift = trend.drift
-    if drift is None:
-        return "–"
-    clear = abs(drift.value) > drift.half_width()
-    return Cell(_interval(drift, _scale(trend)), "doubtful" if clear else "")
-
-
-def _interval(forecast: Forecast, scale: float) -> str:
-    return rounded(forecast.value * scale, forecast.half_width() * scale).interval
+def _interval(forecast: Forecast | None, scale: float) -> str:
+    return "–" if forecast is None else rounded(forecast.value * scale, forecast.half_width() * scale).interval
 
 
 def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Section:
-    figure = partial(trend_figure, drifts, trend, ahead)
-    lead = f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}."
-    anchor = f"coefficient-{trend.key.replace('_', '-')}"
-    return Section(trend.key, anchor, (lead, figure, _record_table(drifts, trend)))
-
-
-def _record_table(drifts: Trend, trend: CoefficientTrend) -> Table:
+    """Meaning, figure and records of one coefficient."""
     scale, unit = shown_unit(trend.key, trend.unit)
     shown = pretty_unit(unit)
-    caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."
-    dated = list(zip(trend.points, drifts.times, strict=True))
-    return (
-        TableOf(dated)
+    table = (
+        TableOf(list(zip(trend.points, drifts.times, strict=True)))
         .text("Record", lambda row: row[0].record)
         .number("Date", lambda row: f"{row[1]:%Y-%m-%d\u00a0%H:%M}")
         .number("Value", lambda row: rounded(row[0].value * scale, row[0].std * scale).value, shown)
         .number("u without the shared part", lambda row: short(row[0].own * scale, 2), shown)
         .number("u", lambda row: short(row[0].std * scale, 2), shown)
         .number("U (95 %)", lambda row: short(row[0].expanded * scale, 2), shown)
-        .number(
-            "Forecast ± 95 %",
-            lambda row: "–" if row[0].forecast is None else _interval(row[0].forecast, scale),
-            shown,
-        )
+        .number("Forecast ± 95 %", lambda row: _interval(row[0].forecast, scale), shown)
         .number("Score", lambda row: _score(row[0]))
-        .table(caption)
     )
+    caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."
+    lead = f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}."
+    content = (lead, partial(trend_figure, drifts, trend, ahead), table.table(caption))
+    return Section(trend.key, f"coefficient-{trend.key.replace('_', '-')}", content)
 
 
 def _score(point: Point) -> Cell:
@@ -259,46 +238,50 @@ def _score(point: Point) -> Cell:
 
 def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str, Any]:
     """The trend as plain JSON values, in file units; nan becomes null."""
+
+    def ahead(trend: CoefficientTrend, forecast: Callable[[float], Forecast]) -> dict[str, Any] | None:
+        if at is None or trend.model.line is None:
+            return None
+        return {"date": at.isoformat(), **(_forecast_document(forecast(drifts.years(at))) or {})}
+
     return {
         "schema": "piga.trend/1",
         "serial": drifts.serial,
         "start": drifts.times[0].isoformat(),
         "alarms": list(drifts.alarms),
         "remarks": list(drifts.remarks),
-        "coefficients": [_coefficient_document(drifts, trend, at) for trend in drifts.coefficients],
-    }
-
-
-def _coefficient_document(drifts: Trend, trend: CoefficientTrend, at: dt.datetime | None) -> dict[str, Any]:
-    line = trend.model.line
-    return {
-        "name": trend.key,
-        "unit": trend.unit,
-        "turn_on_std": finite(trend.turn_on),
-        "day_to_day_std": finite(trend.day_to_day),
-        "drift_per_year": _forecast_document(trend.drift),
-        "forecast": None if at is None or line is None else _dated(trend.coefficient_at(drifts.years(at)), at),
-        "next_record": None if at is None or line is None else _dated(trend.next_record(drifts.years(at)), at),
-        "records": [
+        "coefficients": [
             {
-                "record": point.record,
-                "time": time.isoformat(),
-                "value": point.value,
-                "std": point.std,
-                "half_width_95": point.expanded,
-                "own_std": point.own,
-                "own_half_width_95": point.own_half_width,
-                "expected": _forecast_document(point.forecast),
-                "score": finite(point.score),
-                "out_of_control": point.outside,
+                "name": trend.key,
+                "unit": trend.unit,
+                "turn_on_std": finite(trend.turn_on),
+                "day_to_day_std": finite(trend.day_to_day),
+                "drift_per_year": _forecast_document(trend.drift),
+                "forecast": ahead(trend, trend.coefficient_at),
+                "next_record": ahead(trend, trend.next_record),
+                "records": [
+                    _record_document(point, time)
+                    for point, time in zip(trend.points, drifts.times, strict=True)
+                ],
             }
-            for point, time in zip(trend.points, drifts.times, strict=True)
+            for trend in drifts.coefficients
         ],
     }
 
 
-def _dated(forecast: Forecast, at: dt.datetime) -> dict[str, Any]:
-    return {"date": at.isoformat(), **(_forecast_document(forecast) or {})}
+def _record_document(point: Point, time: dt.datetime) -> dict[str, Any]:
+    return {
+        "record": point.record,
+        "time": time.isoformat(),
+        "value": point.value,
+        "std": point.std,
+        "half_width_95": point.expanded,
+        "own_std": point.own,
+        "own_half_width_95": point.own_half_width,
+        "expected": _forecast_document(point.forecast),
+        "score": finite(point.score),
+        "out_of_control": point.outside,
+    }
 
 
 def _forecast_document(forecast: Forecast | None) -> dict[str, Any] | None:

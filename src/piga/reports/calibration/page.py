@@ -13,6 +13,7 @@ from piga.records.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit
+from piga.reports.calibration import tables
 from piga.reports.calibration.figures import (
     BEAT,
     calibration_figures,
@@ -20,27 +21,7 @@ from piga.reports.calibration.figures import (
     figures_of,
     residual_figure,
 )
-from piga.reports.calibration.tables import (
-    budget_tables,
-    coefficient_table,
-    common_coefficients,
-    comparison_sections,
-    correlation_table,
-    facts_table,
-    judgement,
-    leverage_tables,
-    outlier_table,
-    propagation_tables,
-    quality_table,
-    residual_quantity,
-    runs_table,
-    segment_table,
-    selectable_segments,
-    sensitivity_tables,
-    sentence,
-    shown_noise,
-    source_tables,
-)
+from piga.reports.calibration.tables import facts_table, residual_quantity
 from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
@@ -94,7 +75,7 @@ def _figure(cal: Calibration, name: str) -> Figure:
 
 def brief(cal: Calibration) -> Page:
     """The calibration for terminal and notebook: verdict, coefficients, noise, findings and budget."""
-    coefficients = Section("", "coefficients", (replace(coefficient_table(cal, every=True), notes=()),))
+    coefficients = Section("", "coefficients", (replace(tables.coefficient_table(cal, every=True), notes=()),))
     if cal.given:
         return _page(cal, (coefficients,))
     sources = any(row.type == "B" for row in cal.budget)
@@ -103,9 +84,9 @@ def brief(cal: Calibration) -> Page:
         coefficients,
         Section("", "noise", (facts_table(_noise(cal)),)),
         Section("Runs", "runs", (_runs(cal),)),
-        Section("Data", "quality", (quality_table(cal.quality) if cal.quality.events else None,)),
-        Section("Uncertainty budget", "budget", budget_tables(cal) if sources else ()),
-        *comparison_sections(cal),
+        Section("Data", "quality", (tables.quality_table(cal.quality) if cal.quality.events else None,)),
+        Section("Uncertainty budget", "budget", tables.budget_tables(cal) if sources else ()),
+        *tables.comparison_sections(cal),
         Section("", "remarks", tuple(Notice("warning", remark) for remark in cal.remarks)),
         Section("", "residuals", (figures(cal)["residuals"] if drawn else None,)),
     )
@@ -118,16 +99,16 @@ def page(cal: Calibration) -> Page:
     lines = shown["orders"].notes[:-1] if "orders" in shown else ()
     return replace(
         _page(cal, _sections(cal, shown)),
-        judgement=judgement(cal, verdict=_with_lines(cal.verdict, lines)),
+        judgement=tables.judgement(cal, verdict=_with_lines(cal.verdict, lines)),
         kicker=f"piga · {'' if cal.direct else 'gyro '}accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
-        segments=selectable_segments(cal),
+        segments=tables.selectable_segments(cal),
     )
 
 
 def _page(cal: Calibration, shown: tuple[Section, ...]) -> Page:
     title = f"Calibration of {cal.serial or 'an instrument'}"
-    return Page(title, _subtitle(cal), _tiles(cal), shown, judgement=judgement(cal))
+    return Page(title, _subtitle(cal), _tiles(cal), shown, judgement=tables.judgement(cal))
 
 
 def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
@@ -195,7 +176,7 @@ def _tiles(cal: Calibration) -> tuple[Tile, ...]:
 def _coefficient_tiles(cal: Calibration) -> list[Tile]:
     labels = {"scale_factor": "Scale factor", "tan_beta": "Cross-coupling tan β"}
     tiles = []
-    for coefficient in common_coefficients(cal):
+    for coefficient in tables.common_coefficients(cal):
         if coefficient.name in labels:
             scale, unit = shown_unit(coefficient.name, coefficient.unit)
             value, std = coefficient.value * scale, coefficient.std * scale
@@ -207,7 +188,7 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 
 
 def _runs(cal: Calibration) -> Content:
-    return runs_table(cal) if cal.runs else None
+    return tables.runs_table(cal) if cal.runs else None
 
 
 def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]:
@@ -220,11 +201,13 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
         Section("Convergence", "history", (_SETTLED, shown.get("convergence"))),
         *([] if cal.direct else [_rotation(shown)]),
         Section(
-            "Segments", "segments", (_SEGMENTS, shown.get("segments"), shown.get("creep"), segment_table(cal))
+            "Segments",
+            "segments",
+            (_SEGMENTS, shown.get("segments"), shown.get("creep"), tables.segment_table(cal)),
         ),
         _budget(cal, shown),
         _identifiability(cal, shown),
-        *comparison_sections(cal),
+        *tables.comparison_sections(cal),
         _quality(cal, shown),
         _provenance(cal),
     )
@@ -251,8 +234,8 @@ def _coefficients(cal: Calibration) -> Section:
         "far below the values, and below what the use of the instrument asks for."
     )
     text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
-    correlation = introduced(text, correlation_table(cal))
-    return Section("Coefficients", "coefficients", (lead, coefficient_table(cal), *correlation))
+    correlation = introduced(text, tables.correlation_table(cal))
+    return Section("Coefficients", "coefficients", (lead, tables.coefficient_table(cal), *correlation))
 
 
 def _rotation(shown: dict[str, Figure]) -> Section:
@@ -275,7 +258,7 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
         "Times the standard uncertainty of the source they are the contributions above."
     )
-    missing, warning = source_tables(cal), None
+    missing, warning = tables.source_tables(cal), None
     if missing:
         warning = (
             f"{cal.verdict.sources}. The sources below exist on this stand, and nobody stated them: the change of each "
@@ -285,9 +268,9 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
         warning = f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."
     content: tuple[Content, ...] = (
         lead,
-        *budget_tables(cal),
+        *tables.budget_tables(cal),
         shown.get("budget"),
-        *introduced(changes, *sensitivity_tables(cal)),
+        *introduced(changes, *tables.sensitivity_tables(cal)),
         Notice("warning", warning) if warning else None,
         *missing,
         Text(f"Local gravity of the reference: {pretty_unit(cal.gravity)}.") if cal.gravity else None,
@@ -310,12 +293,12 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
     )
     content: tuple[Content, ...] = (
         lead,
-        *(Notice("info", f"{sentence(remark)}.") for remark in cal.remarks),
+        *(Notice("info", f"{tables.sentence(remark)}.") for remark in cal.remarks),
         shown.get("whiteness"),
         shown.get("allan"),
         facts_table([("Condition number", short(cal.condition)), *_noise(cal), *_tests(cal)]),
-        *introduced(leverage, *leverage_tables(cal)),
-        *introduced(propagation, *propagation_tables(cal)),
+        *introduced(leverage, *tables.leverage_tables(cal)),
+        *introduced(propagation, *tables.propagation_tables(cal)),
     )
     return Section("Identifiability and noise", "identifiability", content)
 
@@ -323,7 +306,7 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
 def _noise(cal: Calibration) -> list[tuple[str, str]]:
     per_turn, level = integral_unit(cal.unit), cal.segment_scatter
     scatter = f"{short(level / cal.scale_factor_nominal / G0 * 1e6)} µg ({short(level)} {cal.unit})"
-    white, unit, walk, slow = shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
+    white, unit, walk, slow = tables.shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
     raw = ("", "")
     if not cal.direct:
         raw = (
@@ -364,7 +347,7 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
     )
     found: Content = Notice("good", "Nothing was found to repair or leave out.")
     if cal.quality.events:
-        found = quality_table(cal.quality)
+        found = tables.quality_table(cal.quality)
     elif cal.quality.masked:
         found = Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used.")
     read = {f"Run {run.name}": run.quality for run in cal.runs} or {"Record": cal.quality}
@@ -376,7 +359,7 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
         "none is formed across a jump."
     )
-    left_out = (text, shown.get("outliers"), outlier_table(cal)) if cal.outliers else ()
+    left_out = (text, shown.get("outliers"), tables.outlier_table(cal)) if cal.outliers else ()
     return Section("Data quality", "quality", (lead, facts_table(rows), found, *left_out))
 
 

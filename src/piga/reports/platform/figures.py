@@ -138,21 +138,17 @@ def cone_figure(run: PlatformRun, aligned: Alignment) -> Figure:
 _MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
 _DASHED = "C"
 """Model whose curve is dashed: it often lies on that of model B, which must be seen."""
-_LABELS = {
-    "east_velocity": ("east velocity line", "m/s", 1.0),
-    "north_velocity": ("north velocity line", "m/s", 1.0),
-    "heading": ("heading line", "arcmin", ARCMIN),
-    "roll": ("roll line", "arcmin", ARCMIN),
+_LINES = {
+    "east_velocity": ("east velocity line [m/s]", 1.0),
+    "heading": ("heading line [arcmin]", ARCMIN),
+    "roll": ("roll line [arcmin]", ARCMIN),
+    "north_velocity": ("north velocity line [m/s]", 1.0),
 }
-
-
 _SAYINGS = {
     "A": "Model A grows with the redundancy angle.",
     "B": "Model B follows the redundancy angle.",
     "C": "Model C removes the wobble as well.",
 }
-
-
 Case = Literal["amplitude", "equatorial"]
 """Choice of lines: at the polar case's rate, or at the equatorial case's rate if that differs."""
 WITH_THEORY: dict[Case, tuple[Model, ...]] = {"amplitude": ("A", "none"), "equatorial": ("none",)}
@@ -162,23 +158,18 @@ WITH_THEORY: dict[Case, tuple[Model, ...]] = {"amplitude": ("A", "none"), "equat
 def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> Figure:
     """Amplitude at a case-rotation period against the day, each model, with the theory dashed."""
     polar = which == "amplitude"
-    key, whose = (
-        ("fig-lines-per-day", "case-rotation")
-        if polar
-        else ("fig-equatorial-lines-per-day", "equatorial case's")
-    )
-    plot = Plot(key, f"What each model leaves at the {whose} period", columns=2, height=2.6)
-    for name in ("east_velocity", "heading", "roll", "north_velocity"):
-        quantity, unit, scale = _LABELS[name]
-        plot.panel("day", f"log {quantity} [{unit}]")
+    key, whose = ("fig-lines", "case-rotation") if polar else ("fig-equatorial-lines", "equatorial case's")
+    plot = Plot(f"{key}-per-day", f"What each model leaves at the {whose} period", columns=2, height=2.6)
+    for name, (quantity, scale) in _LINES.items():
+        plot.panel("day", f"log {quantity}")
         for model, run in comparison.models.items():
             label, amplitude = model_name(model), getattr(run.lines, which)[name]
             plot.marked(run.lines.day, amplitude / scale, label, _MODEL_ROLES[model])
             if model in WITH_THEORY[which] and run.theory is not None:
                 theory = getattr(run.theory, which)[name]
                 plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
-    sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS]
-    return plot.caption(" ".join(["Amplitude fitted over each day.", *(sayings if polar else ())]))
+    sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS and polar]
+    return plot.caption(" ".join(["Amplitude fitted over each day.", *sayings]))
 
 
 def histories_figure(comparison: ModelComparisonRun) -> Figure:
@@ -196,45 +187,35 @@ def published_figure(comparison: ModelComparisonRun) -> Figure:
     return _channels(comparison, "fig-last-minutes", "The last forty minutes", caption, last=True)
 
 
-_CORRECTED: Sequence[str] = ("A", "B", "C")
-"""Models shown together: without a model the errors are far larger."""
-
-
 def _channels(
     comparison: ModelComparisonRun, key: str, title: str, caption: str, *, last: bool = False
 ) -> Figure:
-    """Errors of the models over the run; ``last``: over its last forty minutes, less their means."""
-    end = next(iter(comparison.models.values())).errors.times[-1]
-    axis, unit = ("time before the end [min]", MINUTE) if last else time_axis(float(end))
+    """Errors of the models over the run; ``last``: over its last forty minutes, less their means.
+
+    Heading and roll are averaged over half a minute where the gimbals are read with noise.
+    """
+    every = next(iter(comparison.models.values())).errors.times
+    end, step = float(every[-1]), float(every[1] - every[0])
+    axis, unit = ("time before the end [min]", MINUTE) if last else time_axis(end)
     begin, origin = (max(0.0, end - 40.0 * MINUTE), end) if last else (0.0, 0.0)
-    shown = {m: r for m, r in comparison.models.items() if m in _CORRECTED} or dict(comparison.models)
-    over = _quiet(comparison)
+    shown = [(m, r) for m, r in comparison.models.items() if m != "none"] or comparison.models.items()
+    noisy = comparison.run.scenario.sensors.gimbal_noise > 0.0
+    over = max(1, round(0.5 * MINUTE / step)) if noisy else 1
     if over > 1:
         caption += " Heading and roll are means over half a minute, freed of most of the gimbal noise."
-    rows: list[tuple[str, float]] = [
-        ("east velocity error [m/s]", 1.0),
-        ("heading error [arcmin]", ARCMIN),
-        ("roll error [arcmin]", ARCMIN),
-    ]
     plot = Plot(key, title, height=2.2)
-    for k, (quantity, scale) in enumerate(rows):
+    for k, quantity in enumerate(
+        ("east velocity error [m/s]", "heading error [arcmin]", "roll error [arcmin]")
+    ):
         plot.panel(axis, quantity)
-        for model, run in shown.items():
+        for model, run in shown:
             e, width = run.errors, over if k else 1
             part = slice(int(np.searchsorted(e.times, begin)), None)
-            values = (e.velocity[:, 1], e.attitude[:, 2], e.attitude[:, 0])[k][part] / scale
+            values = (e.velocity[:, 1], e.attitude[:, 2] / ARCMIN, e.attitude[:, 0] / ARCMIN)[k][part]
             values = averaged(values - values.mean() if last else values, width)
             times = averaged(e.times[part] - origin, width) / unit
             plot.line(times, values, model_name(model), _MODEL_ROLES[model], dashed=model == _DASHED)
     return plot.caption(caption)
-
-
-def _quiet(comparison: ModelComparisonRun) -> int:
-    """Rows of half a minute where the gimbals are read with noise, else one."""
-    if comparison.run.scenario.sensors.gimbal_noise == 0.0:
-        return 1
-    times = next(iter(comparison.models.values())).errors.times
-    return max(1, round(0.5 * MINUTE / float(times[1] - times[0])))
 
 
 def position_figure(comparison: ModelComparisonRun) -> Figure:
@@ -258,12 +239,8 @@ def position_figure(comparison: ModelComparisonRun) -> Figure:
 def spectrum_figure(comparison: ModelComparisonRun) -> Figure:
     """Amplitude spectrum of the east velocity over the last day, with the lines to expect."""
     s, low, high = comparison.run.scenario, np.inf, 0.0
-    plot = Plot(
-        "fig-spectrum",
-        "Spectrum of the east velocity, last day",
-        "log period [min]",
-        "log east velocity amplitude [m/s]",
-    )
+    title = "Spectrum of the east velocity, last day"
+    plot = Plot("fig-spectrum", title, "log period [min]", "log east velocity amplitude [m/s]")
     for model, run in comparison.models.items():
         part = run.errors.times > run.errors.times[-1] - DAY
         frequency, amplitude = spectrum(run.errors.times[part], run.errors.velocity[part, 1])

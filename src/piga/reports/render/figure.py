@@ -202,13 +202,13 @@ class Plot:
         height: float = 3.2,
     ) -> None:
         self._figure = Figure(key, title, (), columns=columns, height=height)
-        self._panels: list[tuple[Panel, list[Series], list[tuple[int, Series]]]] = []
+        self._panels: list[Panel] = []
         if x:
             self.panel(x, y)
 
     def panel(self, x: str | Axis, y: str | Axis, title: str = "", *, equal: bool = False) -> Self:
         """Begin the next panel."""
-        self._panels.append((Panel(axis(x), axis(y), (), title, equal), [], []))
+        self._panels.append(Panel(axis(x), axis(y), (), title, equal))
         return self
 
     def line(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
@@ -218,8 +218,7 @@ class Plot:
             kept = envelope_rows(y)
             x, y = np.asarray(x)[kept], np.asarray(y)[kept]
             more = {key: value if key in _WHOLE else np.asarray(value)[kept] for key, value in more.items()}
-        self._panels[-1][1].append(Series(x, y, name, role=role, **more))
-        return self
+        return self.add(Series(x, y, name, role=role, **more))
 
     def points(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
         """Add points."""
@@ -246,21 +245,19 @@ class Plot:
 
     def add(self, *series: Series) -> Self:
         """Add curves that were made elsewhere."""
-        self._panels[-1][1].extend(series)
+        panel = self._panels[-1]
+        self._panels[-1] = replace(panel, series=(*panel.series, *series))
         return self
 
     def of_segment(self, segment: int, series: Series) -> Self:
         """Add the curve of a single segment, shown while that segment is selected on a page."""
-        self._panels[-1][2].append((segment, series))
+        panel = self._panels[-1]
+        self._panels[-1] = replace(panel, of_segments=(*panel.of_segments, (segment, series)))
         return self
 
     def caption(self, text: str, *notes: str) -> Figure:
         """The figure with its caption, and small print below."""
-        panels = tuple(
-            replace(panel, series=tuple(series), of_segments=tuple(single))
-            for panel, series, single in self._panels
-        )
-        return replace(self._figure, panels=panels, caption=text, notes=notes)
+        return replace(self._figure, panels=tuple(self._panels), caption=text, notes=notes)
 
 
 def bar_width(x: ArrayLike) -> float:

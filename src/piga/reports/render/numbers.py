@@ -104,7 +104,7 @@ def significant(value: float, digits: int = 6, *, zeros: bool = False) -> str:
 
 def _times(exponent: int) -> str:
     """Times a power of ten, as it is printed; nothing for the power 0."""
-    return f"\u00a0×\u00a0{power(exponent)}" if exponent else ""
+    return f"\u00a0×\u00a010{str(exponent).translate(_RAISE)}" if exponent else ""
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -148,11 +148,8 @@ def count(number: int) -> str:
 
 def duration(seconds: float) -> str:
     """A duration in seconds, minutes or hours."""
-    if seconds < 120.0:
-        return f"{significant(seconds, 3)} s"
-    return (
-        f"{significant(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{significant(seconds / 3600.0, 3)} h"
-    )
+    factor, unit = (1.0, "s") if seconds < 120.0 else (60.0, "min") if seconds < 7200.0 else (3600.0, "h")
+    return f"{significant(seconds / factor, 3)} {unit}"
 
 
 def relative(value: float, uncertainty: float) -> str:
@@ -205,11 +202,6 @@ def aligned(rows: Sequence[Sequence[str]], left: Container[int] = ()) -> list[st
         )
         for row in rows
     ]
-
-
-def power(exponent: int | str) -> str:
-    """A power of ten as it is printed, e.g. ``10⁻⁴``."""
-    return f"10{str(exponent).translate(_RAISE)}"
 
 
 def pretty_unit(unit: str) -> str:

@@ -11,10 +11,9 @@ import base64
 import hashlib
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -122,13 +121,6 @@ class Table:
     upright: bool = False
     segments: tuple[int | None, ...] = ()
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(
-                    f"table '{self.caption}': a row of {len(row)} cells for {len(self.columns)} columns"
-                )
-
     @property
     def cells(self) -> list[list[Cell]]:
         """All rows as cells."""
@@ -148,10 +140,8 @@ class Table:
         tables = max(1, math.ceil(count / across))
         edges = [fixed + round(index * count / tables) for index in range(tables + 1)]
         split = [self.only([*range(fixed), *range(*ends)]) for ends in pairwise(edges)]
-        return tuple(
-            replace(part, caption=self.caption * (part is split[0]), notes=self.notes * (part is split[-1]))
-            for part in split
-        )
+        split = [split[0], *(replace(part, caption="") for part in split[1:])]
+        return (*(replace(part, notes=()) for part in split[:-1]), split[-1])
 
 
 class TableOf(Generic[Item]):
@@ -190,7 +180,7 @@ class TableOf(Generic[Item]):
     ) -> Self:
         """Add a column of numbers for each of the others: its heading and unit, and the cell of an item."""
         for other in others:
-            self.number(heading(other), partial(_with_other, cell, other), unit(other))
+            self.number(heading(other), lambda item, other=other: cell(item, other), unit(other))  # type: ignore[misc]
         return self
 
     def table(self, caption: str = "", notes: tuple[str, ...] = (), **more: Any) -> Table:
@@ -201,10 +191,6 @@ class TableOf(Generic[Item]):
 
 def _printed(cell: str | Cell) -> str | Cell:
     return replace(cell, text=printed(cell.text)) if isinstance(cell, Cell) else printed(cell)
-
-
-def _with_other(cell: Callable[[Item, Other], str | Cell], other: Other, item: Item) -> str | Cell:
-    return cell(item, other)
 
 
 def named_values(
@@ -304,9 +290,6 @@ class Page:
     judgement: Judgement | None = None
     segments: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        _check_names([section.anchor for section in self.sections])
-
     def drawn(self) -> Iterator[FigureBlock]:
         """The blocks of all figures in reading order."""
         for section in self.sections:
@@ -321,14 +304,6 @@ class Page:
         return replace(self, sections=tuple(one for one in self.sections if one.anchor in anchors))
 
 
-def _check_names(names: list[str]) -> None:
-    for name in names:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
-            raise ValueError(f"'{name}' cannot be an anchor or figure key: use letters, digits, hyphens")
-        if names.count(name) > 1:
-            raise ValueError(f"'{name}' is the anchor or key of two parts of the page")
-
-
 def origin(digests: Mapping[str, str]) -> Section:
     """The files that a result is from."""
     return Section("Origin", "origin", (named_values("file", "SHA-256", digests, "Files", code=True),))
@@ -340,7 +315,6 @@ def page_html(page: Page) -> str:
     from piga.reports.render.interactive import figure_spec
 
     figures = page.figures()
-    _check_names([section.anchor for section in page.sections] + [figure.key for figure in figures])
     scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
     return template("page.html.jinja").render(
         page=page,
