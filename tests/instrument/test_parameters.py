@@ -36,12 +36,12 @@ def test_bad_parameters_are_named(kwargs, message):
 
 
 def test_error_model_units_and_names():
-    model = ErrorModel.from_terms({"k0": "1e-3 g", "k2": "2e-6 g/g^2", "T_ref": "25 degC"})
+    model = ErrorModel(k0="1e-3 g", k2="2e-6 g/g^2", T_ref="25 degC")
     assert model.k0 == pytest.approx(1e-3 * G0)
     assert model.k2 == pytest.approx(2e-6 / G0)
     assert model.T_ref == pytest.approx(298.15)
     with pytest.raises(piga.ArgumentError, match="term 's2' cannot be propagated"):
-        ErrorModel.from_terms({"s2": 1e-6})
+        ErrorModel(s2=1e-6)
     with pytest.raises(piga.UnitError, match="ErrorModel k2"):
         ErrorModel(k2="1 g")
 

@@ -13,24 +13,19 @@ from piga.instrument.regimes import (
     separatrix_distance,
 )
 from piga.instrument.sampled_motion import (
-    SENSITIVITY_NAMES,
-    Sensitivities,
     propagate,
     propagate_fleet,
     propagate_increments,
     propagate_rate,
     propagate_segments,
-    sensitivities,
 )
 from piga.instrument.twin.electronics import Electronics
 
 __all__ = [
-    "SENSITIVITY_NAMES",
     "Electronics",
     "ErrorModel",
     "Instrument",
     "Regime",
-    "Sensitivities",
     "closed_form",
     "closed_form_turns",
     "dead_zone",
@@ -44,6 +39,5 @@ __all__ = [
     "propagate_segments",
     "regime",
     "revolution_period",
-    "sensitivities",
     "separatrix_distance",
 ]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +93,7 @@ class ErrorModel:
     and the gimbal turns with ``alpha' = u_x + tan(beta)(u_Y sin(alpha) - u_Z cos(alpha)) + K e``.
     Numbers are SI (``k2`` in (m/s^2)/(m/s^2)^2, ``k0`` in m/s^2, ``T_ref`` in kelvin); text carries
     its unit (``k2="2e-6 g/g^2"``, ``T_ref="20 degC"``). Names follow IEEE 1293 by analogy; that
-    standard excludes this instrument.
+    standard excludes this instrument. An unknown name is refused.
 
     ``s1`` and ``c1`` act like a transverse specific force and are propagated exactly. The two-by-two matrices of the
     exact motion cannot hold harmonics of second and higher order. These can be calibrated (``piga.calibrate``) but
@@ -124,52 +122,17 @@ class ErrorModel:
     k1_T: float = 0.0
     T_ref: float = 293.15
 
-    if TYPE_CHECKING:  # text is taken, too; the fields are numbers
-
-        def __init__(
-            self,
-            k0: Quantity = 0.0,
-            k1: Quantity = 0.0,
-            k2: Quantity = 0.0,
-            k3: Quantity = 0.0,
-            k2o: Quantity = 0.0,
-            k1a: Quantity = 0.0,
-            m_Y: Quantity = 0.0,
-            m_Z: Quantity = 0.0,
-            k_XY: Quantity = 0.0,
-            k_XZ: Quantity = 0.0,
-            k_YY: Quantity = 0.0,
-            k_ZZ: Quantity = 0.0,
-            k_YZ: Quantity = 0.0,
-            s1: Quantity = 0.0,
-            c1: Quantity = 0.0,
-            k0_t: Quantity = 0.0,
-            k0_T: Quantity = 0.0,
-            k1_T: Quantity = 0.0,
-            T_ref: Quantity = 293.15,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
+    def __init__(self, **terms: Quantity) -> None:
+        unknown = [name for name in terms if name not in self.__dataclass_fields__]
+        if unknown:
+            raise ArgumentError(
+                f"ErrorModel: term '{unknown[0]}' cannot be propagated",
+                remedy=f"known terms: {' '.join(self.__dataclass_fields__)}; higher harmonics are only calibrated",
+            )
         for field in fields(self):
             unit = "degC" if field.name == "T_ref" else unit_of(field.name)
-            _set(self, field.name, si_or_text(getattr(self, field.name), unit, what=f"ErrorModel {field.name}"))
-
-    @classmethod
-    def from_terms(cls, terms: Mapping[str, Quantity]) -> ErrorModel:
-        """Error model from term names and values (SI numbers, or text with unit).
-
-        Raises
-        ------
-        ArgumentError
-            If a name is unknown, or is a harmonic that the exact motion cannot hold.
-        """
-        for name in terms:
-            if name not in cls.__dataclass_fields__:
-                raise ArgumentError(
-                    f"ErrorModel: term '{name}' cannot be propagated",
-                    remedy=f"known terms: {' '.join(cls.__dataclass_fields__)}; higher harmonics are only calibrated",
-                )
-        return cls(**terms)
+            value = terms.get(field.name, getattr(type(self), field.name))
+            _set(self, field.name, si_or_text(value, unit, what=f"ErrorModel {field.name}"))
 
     @property
     def needs_temperature(self) -> bool:
@@ -224,4 +187,4 @@ def error_model_of(calibration: Calibration) -> ErrorModel:
         rest = tuple(factor for factor in PRODUCTS[drift] if factor != "t")
         base = next(name for name in available if PRODUCTS.get(name) == rest)
         terms[base] = terms.get(base, 0.0) - terms[drift] * calibration.time_reference
-    return ErrorModel.from_terms(terms | {"T_ref": calibration.temperature_reference})
+    return ErrorModel(**terms | {"T_ref": calibration.temperature_reference})

@@ -1,4 +1,4 @@
-r"""Exact motion under recorded input: one instrument or a fleet, and its derivatives.
+r"""Exact motion under recorded input: one instrument or a fleet.
 
 Specific force is smooth or linear between sample times. Each step is the exponential of a matrix of sl(2, R) acting on the
 half-angle pair; the Magnus expansion [Blanes2009] makes it fourth order for input that is linear between samples, and
@@ -11,18 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piga._kernels.motion.samples import (
-    PARAMETERS,
     MotionSamples,
     propagate_many,
     propagate_samples,
-    propagate_sensitivities,
 )
 from piga._kernels.motion.samples import propagate_increments as run_increments
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, split_turns
@@ -30,7 +27,7 @@ from piga.errors import ArgumentError
 from piga.instrument.constant_input import constant_motion
 from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.regimes import explain, float_array, require_finite, time_array
-from piga.results import Array, Result
+from piga.results import Array
 
 Between = Literal["smooth", "linear"]
 """How force and base rate go between samples."""
@@ -343,71 +340,6 @@ def propagate_segments(
         )
     turns, rest, rate = constant_motion(inst, lengths, force, omega, onward=True)
     return turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest), rate
-
-
-SENSITIVITY_NAMES = ("scale_factor", "beta", "alpha0", "a_x", "a_Y", "a_Z")
-"""Parameters of :class:`Sensitivities`, in the order of its columns; the last three are biases [m/s^2]."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Sensitivities(Result):
-    """A motion and how it changes with each parameter.
-
-    Attributes
-    ----------
-    alpha, rate:
-        Unwrapped angle [rad] and rate [rad/s] at the samples, shape (n,).
-    d_alpha, d_rate:
-        Derivatives, shape (n, 6), columns in the order of ``names``: per (rad/s)/(m/s^2) of
-        ``scale_factor``, per rad of ``beta`` and ``alpha0``, per m/s^2 of a constant bias added to
-        ``a_x``, ``a_Y``, ``a_Z``. A bias of the base rate [rad/s] is ``-1/K`` times that of the force.
-    """
-
-    alpha: Array
-    rate: Array
-    d_alpha: Array
-    d_rate: Array
-    names: tuple[str, ...] = SENSITIVITY_NAMES
-
-    def of_alpha(self, name: str) -> Array:
-        """Derivative of the angle with respect to one parameter, shape (n,)."""
-        return np.asarray(self.d_alpha[:, self.names.index(name)])
-
-    def of_rate(self, name: str) -> Array:
-        """Derivative of the rate with respect to one parameter, shape (n,)."""
-        return np.asarray(self.d_rate[:, self.names.index(name)])
-
-
-def sensitivities(
-    inst: Instrument, t: ArrayLike, f: ArrayLike, base_rate: ArrayLike | None = None
-) -> Sensitivities:
-    """Motion under recorded specific force with its derivatives, from the same matrices.
-
-    The derivatives are those of :func:`piga.propagate` with ``between="linear"``. They are exact to rounding, because no
-    finite differences are used.
-
-    Parameters
-    ----------
-    inst, t, f, base_rate:
-        As in :func:`piga.propagate`.
-
-    Raises
-    ------
-    ArgumentError
-        As in :func:`piga.propagate`; also if a single step turns the gimbal by more than 1e5 rad.
-    """
-    record = _sampled_input(inst, t, f, base_rate)
-    n = record.t.size
-    omega = record.base_rate if record.base_rate.size else float_array("base_rate", np.zeros((n, 3)))
-    alpha, rate = np.empty(n), np.empty(n)
-    d_alpha, d_rate = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
-    with np.errstate(all="ignore"):
-        status = propagate_sensitivities(
-            record._replace(base_rate=omega), _initial_state(inst.alpha0), alpha, rate, d_alpha, d_rate
-        )
-    _require(record, status)
-    alpha[0] = inst.alpha0
-    return Sensitivities(alpha, rate, d_alpha, d_rate)
 
 
 def propagate_fleet(

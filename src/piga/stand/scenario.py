@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -419,7 +419,7 @@ def _specimen(table: ScenarioTable) -> Specimen:
         elif name not in (*_MOTION, *_APART):
             terms[name] = si(name, unit_of(name))
     reference = si("T_ref", "K", table.model.get("temperature_reference", "20 degC"))
-    model = replace(ErrorModel.from_terms(terms), T_ref=reference)
+    model = ErrorModel(**terms | {"T_ref": reference})
     twin = twin_parameters(table.twin) if table.twin or table.run.model == "twin" else None
     return Specimen(instrument, model, harmonics, servo, damping, k2v, twin, table.run.start, unit)
 

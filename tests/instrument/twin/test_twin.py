@@ -17,7 +17,6 @@ from piga.errors import ArgumentError, PigaError
 from piga.instrument import ErrorModel, Instrument, propagate
 from piga.instrument.twin.linear import (
     predicted_k2,
-    predicted_rate_error,
     predicted_rectification,
     predicted_second_harmonic,
 )
@@ -25,6 +24,7 @@ from piga.instrument.twin.parameters import PRESETS, TwinParameters, twin_parame
 from piga.instrument.twin.run import run_twin
 from piga.units import G0
 from tests.instrument.rigid_body import RICH, accelerations, solve
+from tests.instrument.twin.predicted import predicted_rate_error
 
 pytestmark = pytest.mark.interpreted
 

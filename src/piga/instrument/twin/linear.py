@@ -97,17 +97,7 @@ def _response(numerator: Polynomial, denominator: Polynomial, frequency: ArrayLi
 
 def tilt_compliance(p: TwinParameters, frequency: ArrayLike) -> _Complex:
     """Closed-loop tilt per outer-axis torque [rad/(N m)] at ``frequency`` [rad/s]."""
-    return _response(*_tilt_transfer(p)[0], frequency)
-
-
-def _tilt_transfer(p: TwinParameters) -> tuple[tuple[Polynomial, Polynomial], tuple[Polynomial, Polynomial]]:
-    """Closed loop from outer-axis torque to tilt, and to ``(B s^2 + c s + k_r)`` times tilt.
-
-    Numerator and denominator each, descending powers of s.
-    """
-    tilt, closed = poly.polymul(_plant(p)[0], _controller(p)[1]), _closed(p)
-    inner = np.array([p.restoring, p.damping, p.float_inertia_y])
-    return (tilt[::-1], closed[::-1]), (poly.polymul(inner, tilt)[::-1], closed[::-1])
+    return _response(poly.polymul(_plant(p)[0], _controller(p)[1])[::-1], _closed(p)[::-1], frequency)
 
 
 def _rate_response(p: TwinParameters) -> tuple[Polynomial, Polynomial]:
@@ -337,64 +327,6 @@ def _servo_pair(p: ServoParameters, rate: float) -> tuple[float, float]:
     stiffness = p.integral_gain - (p.rate_gain + p.pendulosity / p.scale_factor) * rate**2
     compliance = stiffness / (stiffness**2 + (p.proportional_gain * rate) ** 2)
     return 0.5 * p.scale_factor * p.pendulosity * compliance, p.damping * p.scale_factor**2 * compliance
-
-
-def predicted_rate_error(p: TwinParameters, t: Array, alpha: Array, f: Array, base_rate: Array) -> Array:
-    """Rate of the twin less that of the quasi-steady model with its k0 and k2 [rad/s], (n,).
-
-    Parameters
-    ----------
-    p:
-        The design, beyond spin-up, inside its limits.
-    t:
-        Equidistant times [s], (n,).
-    alpha:
-        Gimbal angle [rad], (n,), of the twin or of the quasi-steady model.
-    f, base_rate:
-        Specific force [m/s^2] and inertial base rate [rad/s] in base axes, (n, 3).
-
-    Notes
-    -----
-    ``tau = H (u_Y cos(alpha) + u_Z sin(alpha)) - J_x (w' + Omega_x') - c_x w - M_c sign(w) + M_x`` goes
-    through the compliance, ``e = G(s) tau``; then ``w_twin - w = (Z(s) e + R)/H + e (u_Y sin(alpha) - u_Z
-    cos(alpha))`` with the impedance ``Z = B s^2 + c s + k_r``. ``R`` is the torque that turns the float with the
-    base: ``R = B q' - (C - A) p r + D (p^2 - r^2 - K^2 a_x^2)``, ``p = w + Omega_x``, ``q = Omega_Y1``, ``r =
-    Omega_Z1``. Errors are of second order in ``e``.
-    """
-    u = p.K * f - base_rate
-    c, s = np.cos(alpha), np.sin(alpha)
-    across = u[:, 1] * s - u[:, 2] * c
-    w = u[:, 0] + math.tan(p.pick_off_null) * across
-    q, r = base_rate[:, 1] * c + base_rate[:, 2] * s, base_rate[:, 2] * c - base_rate[:, 1] * s
-    torque = p.angular_momentum * (u[:, 1] * c + u[:, 2] * s) - p.J_x * np.gradient(w + base_rate[:, 0], t)
-    torque += p.outer_torque - p.viscous_friction * w - p.coulomb_friction * np.tanh(w / p.coulomb_rate)
-    load = complex(u[0, 1], -u[0, 2]) * p.angular_momentum * np.exp(1j * alpha[0])
-    tilt, reaction = _through_loop(p, torque, load, float(w[0]), float(t[1] - t[0]))
-    turn, unequal = w + base_rate[:, 0], p.float_inertia_z - p.float_inertia_x
-    carried = p.float_inertia_y * np.gradient(q, t) - unequal * turn * r
-    carried += p.product_of_inertia * (turn**2 - r**2 - (p.K * f[:, 0]) ** 2)
-    return np.asarray((reaction + carried) / p.angular_momentum + tilt * across)
-
-
-def _through_loop(
-    p: TwinParameters, torque: Array, load: complex, rate: float, step: float
-) -> tuple[Array, Array]:
-    """Tilt [rad] and torque ``Z e`` [N m] that the outer-axis ``torque`` makes, linear between samples.
-
-    Before the first sample the torque is that of a gimbal that turns at ``rate``. ``load`` is its rotating part at
-    the first sample, as a complex number.
-    """
-    from scipy import signal
-
-    count = math.ceil(30.0 / -float(np.max(loop_poles(p).real)) / step)
-    before = np.arange(-count, 0) * step
-    past = (load * (np.exp(1j * rate * before) - 1.0)).real + torque[0]
-    whole = np.concatenate([past, torque])
-    results = []
-    for numerator, denominator in _tilt_transfer(p):
-        b, a, _ = signal.cont2discrete((numerator, denominator), step, method="foh")
-        results.append(signal.lfilter(np.atleast_1d(np.squeeze(b)), a, whole)[count:])
-    return results[0], results[1]
 
 
 def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:
