@@ -39,11 +39,7 @@ def write_whole(
     """Let ``write`` make a file of the same name in a hidden folder, sync it to disk, and rename it to ``target``.
 
     ``replace=False``: an existing ``target`` is never replaced. ``remedy`` and ``kind`` are those of the error.
-
-    Raises
-    ------
-    PigaError
-        If the file cannot be written. ``target`` is then unchanged.
+    On an error ``target`` is unchanged.
     """
     try:
         with _hidden_folder(target.parent) as hidden:
@@ -209,13 +205,6 @@ def results(
     That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other ``inputs``; with
     ``force`` they are replaced, but never an input. ``names`` are patterns of all results of the ``command``; older files with
     such names are removed. ``option`` names ``folder`` in messages.
-
-    Raises
-    ------
-    ArgumentError
-        If ``folder`` or a result is the name of something else, or ``force`` would replace an input.
-    PigaError
-        If the folder cannot be written.
     """
     folder = _free_folder(folder, command, names, inputs, force=force, option=option)
     try:

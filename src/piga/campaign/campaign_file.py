@@ -296,15 +296,14 @@ def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
 def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[CampaignGroup]:
     if file.scenario is None and not file.case:
         raise RunFileError(f"{path}: there is nothing to compute", remedy="give scenario or [[case]]")
-    names = [case.name for case in file.case]
+    names, settings = [case.name for case in file.case], file.campaign
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise RunFileError(f"{path}: two cases have the name '{twice}'", remedy="rename one")
     points = [dict(zip(file.grid, values, strict=True)) for values in itertools.product(*file.grid.values())]
-    designs = file.campaign.designs if file.draw else 1
-    if file.campaign.designs > 1 and not file.draw:
+    if settings.designs > 1 and not file.draw:
         raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="add [draw], or use repeats")
-    if max(1, len(file.case)) * len(points) * designs > _MOST_CASES:
+    if max(1, len(file.case)) * len(points) * settings.designs > _MOST_CASES:
         raise RunFileError(f"{path}: more than {_MOST_CASES} cases", remedy="make the grid coarser")
     first = start = 0
     for case in file.case or (CaseTable(""),):
@@ -312,20 +311,13 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
         if scenario is None:
             raise RunFileError(f"{path}: case '{case.name}' has no scenario", remedy="name a scenario file")
         subject = _subject(path, scenario, documents[scenario])
+        repeats = case.repeats or settings.repeats
+        bounds = settings.bounds if case.bounds is None else case.bounds
         for point in points:
-            group = CampaignGroup(
-                case.name,
-                subject,
-                scenario,
-                point,
-                designs,
-                case.repeats or file.campaign.repeats,
-                file.campaign.bounds if case.bounds is None else case.bounds,
-                first,
-                start,
+            yield CampaignGroup(
+                case.name, subject, scenario, point, settings.designs, repeats, bounds, first, start
             )
-            first, start = first + designs, start + group.records
-            yield group
+            first, start = first + settings.designs, start + settings.designs * repeats
 
 
 def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
@@ -356,26 +348,21 @@ def _check(plan: CampaignPlan) -> None:
         raise RunFileError(f"{plan.path}: '{overlap[0]}' is in [grid] and in [draw]", remedy="leave one out")
     done: set[tuple[str, str, str]] = set()
     for group in plan.groups:
-        settings = {(group.name, key, repr(value)) for key, value in group.set.items()} or {
-            (group.name, "", "")
-        }
+        settings = {(group.name, key, repr(value)) for key, value in (group.set or {"": ""}).items()}
         if settings <= done:
             continue
         done |= settings
         record = plan.record(group.start)
+        where = group.label if group.name or group.set else "scenario"
         try:
             document = plan.document(record)
         except (KeyError, IndexError, ValueError) as error:
             raise RunFileError(
-                f"{plan.path}: {_where(group)}: the key goes through '{error.args[0]}', which is not a table",
+                f"{plan.path}: {where}: the key goes through '{error.args[0]}', which is not a table",
                 remedy="write the key as in the scenario file, e.g. 'twin.damping'",
             ) from None
         try:
             built(plan, record, document)
         except RunFileError as error:
             text = error.message.removeprefix(f"{plan.path}: ")
-            raise RunFileError(f"{plan.path}: {_where(group)}: {text}", remedy=error.remedy) from None
-
-
-def _where(group: CampaignGroup) -> str:
-    return group.label if group.name or group.set else "scenario"
+            raise RunFileError(f"{plan.path}: {where}: {text}", remedy=error.remedy) from None

@@ -310,6 +310,8 @@ def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
 def quantity_text(text: str) -> tuple[float, str]:
     """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written."""
     number, _, unit = text.strip().partition(" ")
+    if not number:
+        raise UnitError("the value is empty", remedy="write e.g. '20.1 degC'")
     to_si(f"{number} {unit.strip() or '1'}", unit.strip() or "1", what=text)
     return float(number), unit.strip() or "1"
 

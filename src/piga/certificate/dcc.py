@@ -179,13 +179,7 @@ def _attachments(
 
 
 def read_dcc(path: str | Path) -> Calibration:
-    """Read a certificate in XML back into a calibration.
-
-    Raises
-    ------
-    DataError
-        If the file is not a DCC, was not made by piga, is damaged, or contradicts itself.
-    """
+    """Read a certificate in XML, made by piga, back into a calibration. One that contradicts itself is refused."""
     path = Path(path)
     return calibration_of(read_xml(path)[1], path)
 

@@ -76,18 +76,10 @@ _XADES = "{http://uri.etsi.org/01903/v1.3.2#}QualifyingProperties"
 
 @dataclass(frozen=True)
 class _VerifiedSignature:
-    """A valid signature.
+    """A valid signature. Only ``document``, the root element of the signed part, can be trusted.
 
-    Attributes
-    ----------
-    document:
-        Root element of the signed part. Only this part can be trusted.
-    signer:
-        Subject of the X.509 certificate.
-    valid_from, valid_until:
-        Validity of that certificate. Without a time stamp it is unknown whether it was in force at signing.
-    remarks:
-        What the signature holds beside that, and was not verified.
+    ``signer`` is the subject of the X.509 certificate, valid from ``valid_from`` until ``valid_until``; without a time stamp
+    it is unknown whether it was in force at signing. ``remarks``: what else the signature holds, and was not verified.
     """
 
     document: etree._Element
@@ -104,14 +96,7 @@ class _VerifiedSignature:
 def sign_xml(
     root: etree._Element, key: Path, certificate: Path, passphrase: bytes | None = None
 ) -> etree._Element:
-    """Sign a document with a private key and its X.509 certificate (PEM; RSA or elliptic curve).
-
-    Raises
-    ------
-    DataError
-        If key or certificate cannot be read, the key is too short, they do not belong together, or the certificate
-        is not in force now.
-    """
+    """Sign a document with a private key and its X.509 certificate (PEM; RSA or elliptic curve)."""
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
     from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
     from signxml.signer import XMLSigner
@@ -137,11 +122,8 @@ def sign_xml(
 def verify_signature(path: Path, certificate: Path) -> _VerifiedSignature:
     """Verify the signature of a file against the expected X.509 certificate.
 
-    Raises
-    ------
-    DataError
-        If the file is not signed, was changed, was signed with another certificate or with one that a revocation list in
-        the file names, or the signature does not cover the whole document.
+    Refused is one that is not signed, was changed, has another signer, one on a revocation list in the file, or whose signature
+    does not cover the whole document.
     """
     root = read_xml(path)[1]
     expected = load_certificate(certificate)

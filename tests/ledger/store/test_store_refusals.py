@@ -20,7 +20,7 @@ import pytest
 from piga.errors import StoreError
 from piga.ledger.reproduce import difference
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.transfer import backup, export_records, import_records, verify
+from piga.ledger.store.transfer import backup, export_records, import_records, restore, verify
 from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.test_transfer_altered import tamper
 
@@ -241,6 +241,10 @@ def other_size(number: int, document: dict[str, Any]) -> None:
     document["files"][0] = document["files"][0] | {"size": number}
 
 
+def huge_size(_number: int, document: dict[str, Any]) -> None:
+    document["files"][0] = document["files"][0] | {"size": 2**70}
+
+
 def no_digest(_number: int, document: dict[str, Any]) -> None:
     document["files"][0] = document["files"][0] | {"sha256": "../../etc/passwd"}
 
@@ -251,6 +255,7 @@ def no_digest(_number: int, document: dict[str, Any]) -> None:
         (same_name, r"record 2: has the name of another \(AAAAA-AAAAA\)"),
         (other_place, "record 1: was not written for this place"),
         (other_size, "was altered"),
+        (huge_size, "was altered"),
         (no_digest, "file 'run.toml' has no valid digest or size"),
     ],
 )
@@ -264,6 +269,8 @@ def test_a_chain_forged_from_end_to_end(
         with pytest.raises(StoreError):
             import_records(store, sound, "A", "merge")
         assert store.head().number == 0
+    with pytest.raises(StoreError):
+        restore(sound, sound.parent / "c.sqlite")
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,14 @@ def explained(name: str) -> Iterator[None]:
         yield
     except UnicodeDecodeError as error:
         raise StoreError(f"{name}: the file is damaged ({error})", remedy=_DAMAGED) from None
-    except (DBAPIError, ArgumentError, NoResultFound, MultipleResultsFound, sqlite3.Error) as error:
+    except (
+        DBAPIError,
+        ArgumentError,
+        NoResultFound,
+        MultipleResultsFound,
+        OverflowError,
+        sqlite3.Error,
+    ) as error:
         cause = getattr(error, "orig", None) or error
         text = " ".join(str(cause).split())
         for word, what, remedy in _WORDS:

@@ -253,12 +253,9 @@ def _checked_moment(name: str, text: str) -> str:
 
 def check_record(document: RecordDocument) -> None:
     """Refuse a record that a command could not show. The same check applies to added and imported records."""
-    if not is_id(document.id):
-        raise ArgumentError(f"id: '{document.id[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
-    if document.supersedes is not None and not is_id(document.supersedes):
-        raise ArgumentError(
-            f"supersedes: '{document.supersedes[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M"
-        )
+    for name, text in (("id", document.id), ("supersedes", document.supersedes)):
+        if text is not None and not is_id(text):
+            raise ArgumentError(f"{name}: '{text[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
     check_label(document.serial, "the serial")
     _checked_moment("created", document.created)
     if document.measured is not None:
@@ -286,18 +283,12 @@ def check_record(document: RecordDocument) -> None:
 
 def _check_plain(name: str, value: Any, depth: int = 8) -> None:
     """Check that each text of a nested value fits into one line of a list."""
-    parts = (
-        (*value.keys(), *value.values())
-        if isinstance(value, dict)
-        else value
-        if isinstance(value, list)
-        else ()
-    )
     if isinstance(value, str) and (len(value) > _MAX_TEXT or _CONTROL.search(value)):
         raise ArgumentError(
             f"{name}: a text is longer than {_MAX_TEXT} letters or holds a control character",
             remedy="write a shorter text on one line",
         )
+    parts = [*value, *value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
     if parts and not depth:
         raise ArgumentError(f"{name}: nested more than eight deep", remedy="use fewer levels")
     for part in parts:

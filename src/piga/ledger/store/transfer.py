@@ -89,11 +89,6 @@ def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | No
         Heads noted earlier, for example on reports. Each must be a head of the chain.
     progress:
         Called with the number of files checked, and the number of all files (:mod:`piga.progress`).
-
-    Raises
-    ------
-    CancelledError
-        If ``progress`` stops it.
     """
     result = Verification(str(where))
     try:
@@ -243,12 +238,7 @@ def export_records(
     """Write all records of a store, or the chosen ones, with all links of its chain.
 
     The file is read back before it gets its name. ``progress`` gets the number of files written or read back, and the
-    number of all files.
-
-    Raises
-    ------
-    StoreError
-        If the store is damaged or the file cannot be written. No file is left then.
+    number of all files. If the store is damaged, no file is left.
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
 
@@ -266,10 +256,7 @@ def backup(
 ) -> Verification:
     """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
 
-    Raises
-    ------
-    StoreError
-        If the store is damaged or the copy cannot be written. No file is left then.
+    If the store is damaged, no file is left.
     """
     path = store.database.path
     if path is None:
@@ -309,17 +296,7 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
     """Append the records of an export that the store does not have yet: all of them or none.
 
     Each keeps its document unchanged. Its new link holds its old link, and who imported it and why.
-
-    Returns
-    -------
-    list of str
-        Names of the records that were added.
-
-    Raises
-    ------
-    StoreError
-        If the export is damaged, holds another record with a name that the store has, or a record that ``add`` would
-        refuse (:meth:`Store.check`).
+    Returns the names of those that were added. A record that ``add`` would refuse is refused (:meth:`Store.check`).
     """
     operator, reason = checked_text("operator", operator), checked_text("reason", reason)
     with Export(path) as export:
@@ -358,13 +335,7 @@ def _refuse_unfit(store: Store, rows: Rows, raw: bytes, document: RecordDocument
 
 
 def restore(source: Path, target: str | Path) -> Verification:
-    """Create a store from a backup (SQLite file or complete export), with the same identity, links and head.
-
-    Raises
-    ------
-    StoreError
-        If the backup is damaged or not complete, or the target exists already.
-    """
+    """Create a store from a backup (SQLite file or complete export), with the same identity, links and head."""
     result = Verification(str(source))
     with ExitStack() as stack:
         if is_export(source):
