@@ -137,13 +137,6 @@ def test_rate_and_temperature_and_base_rate(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.base_rate[:, 0], np.radians(15.0) / 3600)
 
 
-def test_sample_rate_instead_of_time(tmp_path: Path) -> None:
-    write_log(tmp_path, lines())
-    path = write_run(tmp_path)
-    path.write_text(path.read_text().replace('time = { column = "t", unit = "s" }', 'sample_rate = "20 Hz"'))
-    np.testing.assert_allclose(np.diff(piga.read_run(path).t), 0.05)
-
-
 def test_a_segment_visited_twice_is_two_segments(tmp_path: Path) -> None:
     rows = [row + f",{(0, 1, 0)[i // 14]}" for i, row in enumerate(lines())]
     run = read(tmp_path, rows, header="t,n,fx,fy,fz,seg", data='segment = "seg"')
@@ -177,11 +170,6 @@ def test_a_null_of_parquet_is_a_missing_value(tmp_path: Path) -> None:
     run = piga.read_run(write_run(tmp_path, "run.parquet"))
     assert run.size == 2
     assert events(run)["missing-value"] == 1
-
-
-def test_a_log_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(piga.DataError, match=r"run\.csv: cannot be read"):
-        piga.read_run(write_run(tmp_path))
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

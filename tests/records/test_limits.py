@@ -17,7 +17,6 @@ import piga
 from piga.calibration import RunSummary
 from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.xml_signature import load_certificate, read_xml
-from piga.compensation.files import is_triad_file
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
 from piga.records.limits import open_regular, read_whole
@@ -84,13 +83,6 @@ def test_data_files(tmp_path: Path, ending: str, kind: str) -> None:
     run = write_run(tmp_path, path.name)
     error = within(5.0, lambda: piga.read_run(run))
     assert isinstance(error, PigaError)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
-def test_a_run_file_that_is_a_pipe(odd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert not is_triad_file(odd)
-    assert exit_code("check", odd) == 2
-    assert "is not a regular file" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
@@ -174,13 +166,3 @@ def test_a_folder_in_place_of_a_file_is_one_sentence(
     assert "folder" in message or "device" in message
     assert "Traceback" not in message
     assert message.count("remedy:") == 1
-
-
-def test_a_long_text_is_not_quoted_whole(tmp_path: Path) -> None:
-    run = write_run(tmp_path, instrument=f'counter_bits = "{"x" * 500_000}"', data=f'sheet = "{"y" * 400_000}"')
-    with pytest.raises(PigaError) as caught:
-        read_run_file(run)
-    assert len(str(caught.value)) < 25_000
-    error = PigaError("a " * 15_000 + "the end", remedy="shorten it")
-    assert len(error.message) < 13_000
-    assert error.message.endswith("the end")
