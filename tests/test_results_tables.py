@@ -6,7 +6,6 @@ import math
 import sys
 from dataclasses import replace
 
-import GTC
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -99,31 +98,14 @@ def test_uncertainties_have_the_whole_covariance(cal):
     assert si["k0"].std_dev == pytest.approx(cal["k0"].si.std)
 
 
-def test_gtc_has_covariance_and_degrees_of_freedom(cal):
-    made = cal.correlated("GTC")
-    assert len(made) == len(cal.coefficients)
-    for i, (key, number) in enumerate(made.items()):
-        assert GTC.value(number) == cal[key].value
-        assert GTC.uncertainty(number) == pytest.approx(cal[key].std)
-        assert GTC.dof(number) == pytest.approx(min(c.degrees_of_freedom for c in cal.values()))
-        for j, other in enumerate(made.values()):
-            if i != j:
-                wanted = cal.covariance[i, j] / np.sqrt(cal.covariance[i, i] * cal.covariance[j, j])
-                assert GTC.get_correlation(number, other) == pytest.approx(wanted)
-
-
 def test_exact_coefficients_correlate_with_none():
     exact = piga.Calibration.from_coefficients({"scale_factor": 0.9, "k0": (1e-3, 1e-6)})
-    for library in ("uncertainties", "GTC"):
-        made = exact.correlated(library)
-        assert float(GTC.value(made["k0"]) if library == "GTC" else made["k0"].nominal_value) == 1e-3
-    with pytest.raises(piga.ArgumentError, match="library 'numpy'"):
-        exact.correlated("numpy")
+    assert exact.correlated()["k0"].nominal_value == 1e-3
+    with pytest.raises(piga.ArgumentError, match="library 'GTC'"):
+        exact.correlated("GTC")
 
 
-def test_without_a_library_the_extra_is_named(cal, monkeypatch):
+def test_without_the_package_the_extra_is_named(cal, monkeypatch):
     monkeypatch.setitem(sys.modules, "uncertainties", None)
-    assert "GTC" in type(next(iter(cal.correlated().values()))).__module__
-    monkeypatch.setitem(sys.modules, "GTC", None)
     with pytest.raises(piga.MissingPackageError, match=r"piga\[notebook\]"):
         cal.correlated()

@@ -156,7 +156,6 @@ EXTRAS = {
     "pandas": "notebook",
     "xarray": "notebook",
     "uncertainties": "notebook",
-    "GTC": "notebook",
     "h5py": "hdf5",
     "nptdms": "tdms",
     "openpyxl": "xlsx",

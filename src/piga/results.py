@@ -202,7 +202,7 @@ def plain(value: Any) -> Any:
 
 
 class Correlated(Protocol):
-    """A number that knows its uncertainty and what it is correlated with, of ``uncertainties`` or GTC."""
+    """A number that knows its uncertainty and what it is correlated with, of the package ``uncertainties``."""
 
     def __add__(self, other: Correlated | float, /) -> Correlated: ...
     def __radd__(self, other: float, /) -> Correlated: ...

@@ -5,12 +5,10 @@ JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -253,42 +251,34 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         """The remark that uncertainties are of Type A only, where it holds."""
         return (TYPE_A_ONLY,) if self.type_a_only else ()
 
-    def correlated(
-        self, library: Literal["uncertainties", "GTC"] | None = None, *, si: bool = False
-    ) -> dict[str, Correlated]:
-        """The coefficients as numbers that know their covariance, by key, to compute on with.
+    def correlated(self, library: str = "uncertainties", *, si: bool = False) -> dict[str, Correlated]:
+        """The coefficients as numbers of the package ``uncertainties``, by key, to compute on with: they know their covariance.
 
-        Parameters
-        ----------
-        library:
-            ``"uncertainties"`` or ``"GTC"``. None: the one that is installed, ``uncertainties`` first. GTC takes over the
-            fewest effective degrees of freedom of all coefficients: it has one number for correlated quantities.
-        si:
-            In SI; else in the units of calibration.json.
+        With ``si`` they are in SI, else in the units of calibration.json.
 
         Examples
         --------
         >>> import piga
         >>> cal = piga.Calibration.from_coefficients({"scale_factor": (0.9, 1e-3), "k0": (1e-4, 1e-6)})
-        >>> c = cal.correlated("uncertainties")
+        >>> c = cal.correlated()
         >>> f"{c['scale_factor'] * c['k0']:.2u}"
         '(9.00+/-0.09)e-05'
 
         Raises
         ------
         MissingPackageError
-            If the library is not installed.
+            If the package is not installed.
+        ArgumentError
+            If another library is named.
         """
-        if library not in (None, "uncertainties", "GTC"):
-            raise ArgumentError(f"correlated: library '{library}'", remedy="one of uncertainties, GTC")
-        chosen = library or ("GTC" if find_spec("GTC") and not find_spec("uncertainties") else "uncertainties")
-        package = needed(chosen)
+        if library != "uncertainties":
+            remedy = "'uncertainties'; other packages take the values and cal.covariance"
+            raise ArgumentError(f"correlated: library '{library}'", remedy=remedy)
         scale = np.array([si_factor(c.name) if si else 1.0 for c in self.coefficients])
         values = scale * np.array([c.value for c in self.coefficients])
         covariance = np.outer(scale, scale) * self.covariance
-        if chosen == "uncertainties":
-            return dict(zip(self, package.correlated_values(values, covariance, tags=list(self)), strict=True))
-        return dict(zip(self, _gtc(self, values, covariance), strict=True))
+        made = needed("uncertainties").correlated_values(values, covariance, tags=list(self))
+        return dict(zip(self, made, strict=True))
 
     def to_xarray(self) -> xr.Dataset:
         """The coefficients and their covariance as an xarray data set. Each variable has its unit in ``attrs["units"]``.
@@ -432,31 +422,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         from piga.records.calibration.document import read_with_digest
 
         return read_with_digest(Path(path))[0]
-
-
-def _gtc(calibration: Calibration, values: np.ndarray, covariance: np.ndarray) -> list[Any]:
-    """Numbers of GTC, one ensemble. It has one number of degrees of freedom: the fewest of all coefficients."""
-    import GTC
-
-    std, matrix, keys = np.sqrt(np.diag(covariance)), correlation(covariance), list(calibration)
-    uncertain = np.flatnonzero(std).tolist()
-    fewest = min((calibration.coefficients[i].degrees_of_freedom for i in uncertain), default=math.inf)
-    made: list[Any] = [GTC.constant(value, label=key) for value, key in zip(values.tolist(), keys, strict=True)]
-    numbers = GTC.multiple_ureal(values[uncertain], std[uncertain], fewest, [keys[i] for i in uncertain])
-    for i, number in zip(uncertain, numbers, strict=True):
-        for j in (other for other in uncertain if other < i):
-            GTC.set_correlation(float(matrix[i, j]), number, made[j])
-        made[i] = number
-    return made
-
-
-def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Correlation matrix; a coefficient without uncertainty correlates with none."""
-    std = np.sqrt(np.diag(covariance))
-    size = np.where(std > 0.0, std, 1.0)
-    matrix: np.ndarray = covariance / np.outer(size, size)
-    np.fill_diagonal(matrix, 1.0)
-    return matrix
 
 
 Given = float | str | tuple[float | str, float | str] | Coefficient
