@@ -78,14 +78,14 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
     quality, size = run.quality, norms(run.f) / G0
     share = 100.0 * quality.used / max(quality.rows, 1)
     used = f"of {count(quality.rows)} ({share:.6g} %)"
-    kept = "kept through the whole record" if phase_kept(run) else "lost between segments"
+    kept = "kept through the whole record" if _kept(run) else "lost between segments"
     tiles = (
         Tile("Rows used", count(quality.used), "", used, "good" if share > 99 else "doubtful"),
         Tile("Findings", f"{len(quality.events)}", "kinds", "", "good" if not quality.events else "doubtful"),
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches, {rate(run):.6g} Hz"),
         Tile("Segments", f"{len(run.labels)}", "", "" if run.direct else f"phase {kept}"),
         Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
-        Tile("Calibration", run.estimation.method, "", _calibration_words(run)),
+        Tile("Calibration", run.estimation.method, "", _calibration(run)[0]),
     )
     findings = quality_table(quality) if quality.events else Notice("good", "Nothing was found.")
     terms = (Section("Terms", "terms", (prospects_table(prospects),)),) if prospects else ()
@@ -123,7 +123,7 @@ def prospects_table(prospects: Sequence[TermProspect]) -> Table:
 
 def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[str, Any]:
     """What is in a record, as plain data for JSON; ``prospects`` say what it determines."""
-    size = norms(record.f)
+    size, (words, possible) = norms(record.f), _calibration(record)
     return {
         "serial": record.serial,
         "quality": msgspec.to_builtins(record.quality),
@@ -131,9 +131,9 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
         "duration_s": record.duration,
         "rate_hz": rate(record),
         "force_g": [float(size.min()) / G0, float(size.max()) / G0],
-        "phase_kept": phase_kept(record),
-        "calibration": f"{record.estimation.method}, {_calibration_words(record)}",
-        "calibration_possible": _calibration_possible(record),
+        "phase_kept": _kept(record),
+        "calibration": f"{record.estimation.method}, {words}",
+        "calibration_possible": possible,
         "input_sha256": record.input_sha256,
         **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
@@ -144,18 +144,14 @@ def rate(run: Run) -> float:
     return 1.0 / step if (step := run.median_step) > 0.0 else 0.0
 
 
-def phase_kept(run: Run) -> bool:
+def _kept(run: Run) -> bool:
     """Whether the phase of the output is one through the whole record."""
     return len(set(run.phase_group)) == 1
 
 
-def _calibration_words(run: Run) -> str:
-    """Description of a calibration with this run file."""
-    possible = "" if _calibration_possible(run) else " (not possible: the phase was lost)"
+def _calibration(run: Run) -> tuple[str, bool]:
+    """A calibration with this run file in words; False if one phase is asked for and the record has lost it."""
+    possible = lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None
     phases = "" if run.direct else f", phases {run.model.phases}"
-    return f"{len(run.model.terms)} terms{phases}{possible}"
-
-
-def _calibration_possible(run: Run) -> bool:
-    """False if one phase is asked for and the record has lost it."""
-    return lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None
+    lost = "" if possible else " (not possible: the phase was lost)"
+    return f"{len(run.model.terms)} terms{phases}{lost}", possible

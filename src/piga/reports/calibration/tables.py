@@ -231,15 +231,12 @@ def segment_table(cal: Calibration) -> Table:
         .number("Largest after", lambda segment: short(segment.max_after / per), unit)
     )
     if phases:
-        table.number("Phase φ", lambda segment: _phase_shown(phases.get(segment.label)), "rad")
+        shown_phases = {
+            label: rounded(c.value, c.std).concise if c.determined else "not determined"
+            for label, c in phases.items()
+        }
+        table.number("Phase φ", lambda segment: shown_phases.get(segment.label, "–"), "rad")
     return table.table(notes=notes, segments=tuple(chosen))
-
-
-def _phase_shown(phase: Coefficient | None) -> str:
-    """The phase of a segment with its standard uncertainty in brackets, or that it is not determined; a dash for none."""
-    if phase is None:
-        return "–"
-    return rounded(phase.value, phase.std).concise if phase.determined else "not determined"
 
 
 def runs_table(cal: Calibration) -> Table:
@@ -534,6 +531,13 @@ def _comparison_table(document: dict[str, Any]) -> Table:
     def number(key: str, scale: float = 1.0, digits: int = 3) -> Callable[[tuple[int, Any]], str]:
         return lambda item: short(item[1][key] * scale, digits) if key in item[1] else "–"
 
+    def above(one: dict[str, Any]) -> str:
+        if "prediction_chi_square" not in one:
+            return "–"
+        error = one["prediction_standard_error"]
+        found = f"{short(one['prediction_above_best'])} ± {short(error, 2)}"
+        return found if error > 1e-6 * one["prediction_chi_square"] else "0"
+
     table = (
         TableOf(numbered)
         .number("set", lambda item: str(item[0]))
@@ -541,9 +545,9 @@ def _comparison_table(document: dict[str, Any]) -> Table:
         .number("coefficients", lambda item: str(item[1].get("parameters", "–")))
         .number("chi²/dof", number("chi_square_per_degree", digits=4))
         .number("BIC above best", number("bic_above_best"))
-        .number("prediction above best", lambda item: _above(item[1]))
+        .number("prediction above best", lambda item: above(item[1]))
         .number("missed", number("prediction_force_error", 1.0 / MICRO_G), "µg")
-        .text("remark", lambda item: _remark(item[1], document))
+        .text("remark", lambda item: str(item[1].get("reason", "")))
     )
     notes = (
         f"Noise weights of all sets: those found with {', '.join(document['noise_terms'])}.",
@@ -552,24 +556,6 @@ def _comparison_table(document: dict[str, Any]) -> Table:
         "Missed: rms over the parts of the mean error of prediction, as specific force.",
     )
     return table.table("Term sets compared", notes)
-
-
-def _above(candidate: dict[str, Any]) -> str:
-    """Prediction above the best one, with the standard error of the difference."""
-    if "prediction_chi_square" not in candidate:
-        return "–"
-    error = candidate["prediction_standard_error"]
-    if error <= 1e-6 * candidate["prediction_chi_square"]:
-        return "0"
-    return f"{short(candidate['prediction_above_best'])} ± {short(error, 2)}"
-
-
-def _remark(candidate: dict[str, Any], document: dict[str, Any]) -> str | Cell:
-    if "bic" not in candidate:
-        return str(candidate["reason"])
-    remarks = ["least BIC"] if candidate["terms"] == document["best"] else []
-    remarks += ["predicts as well as any"] if candidate["terms"] == document["best_prediction"] else []
-    return Cell(", ".join(remarks), "good") if remarks else ""
 
 
 def _shift_table(document: dict[str, Any]) -> Table | None:

@@ -26,7 +26,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from piga.reports.render.figure import INK, LIGHT, Axis, Figure, Panel, Series, bar_width
+from piga.reports.render.figure import INK, LIGHT, Figure, Panel, Series, bar_width
 
 WIDTH = 7.2
 """Width of a figure [inch]: two columns of a journal."""
@@ -73,14 +73,13 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
     needed = len(figure.panels)
     remedy = f"pass {needed} axes, e.g. those of plt.subplots({needed})" if needed > 1 else "pass one axes"
-    for item in chosen:
-        if not isinstance(item, Axes):
-            raise ArgumentError(f"ax: a {type(item).__name__} is not an axes of Matplotlib", remedy=remedy)
+    other = next((item for item in chosen if not isinstance(item, Axes)), None)
+    if other is not None:
+        raise ArgumentError(f"ax: a {type(other).__name__} is not an axes of Matplotlib", remedy=remedy)
     if len(chosen) != needed:
-        raise ArgumentError(
-            f"ax: the figure '{figure.key}' has {needed} panel{'s' * (needed > 1)}, ax has {len(chosen)}",
-            remedy=remedy,
-        )
+        panels = f"{needed} panel{'s' * (needed > 1)}"
+        message = f"ax: the figure '{figure.key}' has {panels}, ax has {len(chosen)}"
+        raise ArgumentError(message, remedy=remedy)
     for panel, axes in zip(figure.panels, chosen, strict=True):
         _panel(panel, axes)
         if sum(1 for series in panel.series if series.name) > 1:
@@ -145,7 +144,7 @@ def _panel(
 ) -> None:
     """Draw the curves of a panel and dress its axes; ``letters`` is how many fit along x and y."""
     for series in panel.series:
-        _series(series, axes, panel.x)
+        _series(series, axes)
     axes.set_xlabel(_words(panel.x.label, letters[0]), fontsize=SMALL, color=INK)
     axes.xaxis.label.set_visible(not inside)
     axes.set_ylabel(_words(panel.y.label, letters[1]), fontsize=SMALL, color=INK)
@@ -172,7 +171,7 @@ def _panel(
         axes.set_xticks(np.arange(1, len(panel.x.names) + 1), list(map(_words, panel.x.names)))
         if sum(map(len, panel.x.names)) > 0.8 * letters[0]:
             axes.tick_params(axis="x", labelrotation=30.0)
-    if panel.x.dates:
+    if panel.x.dates:  # days since 1970-01-01: Matplotlib's own count of days
         locator = AutoDateLocator()  # type: ignore[no-untyped-call]
         axes.xaxis.set_major_locator(locator)
         axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
@@ -184,32 +183,26 @@ def _words(text: str, letters: float = math.inf) -> str:
     return text if len(text) <= letters else textwrap.fill(text, int(letters))
 
 
-def _series(series: Series, axes: Axes, across: Axis) -> None:
+def _series(series: Series, axes: Axes) -> None:
     x, y = series.arrays()
-    colour = LIGHT[series.role]
-    name = _words(series.name) or "_"
-    if across.dates:
-        x = x.astype(float)  # days since 1970-01-01: Matplotlib's own count of days
+    look: dict[str, Any] = {"color": LIGHT[series.role], "label": _words(series.name) or "_"}
     if series.mark == "bars":
-        axes.bar(x, y, width=bar_width(x), color=colour, label=name)
+        axes.bar(x, y, width=bar_width(x), **look)
         return
     if series.mark == "band":
-        upper = np.asarray(series.upper, dtype=float)
-        axes.fill_between(x, y, upper, color=colour, alpha=0.18, linewidth=0.0, label=name)
+        axes.fill_between(x, y, np.asarray(series.upper, dtype=float), alpha=0.18, linewidth=0.0, **look)
         return
     style = "none" if series.mark == "points" else "--" if series.dashed else "-"
-    points = series.mark in ("points", "line+points")
     error = None if series.error is None else np.asarray(series.error, dtype=float)
     axes.errorbar(
         x,
         y,
         yerr=error,
-        color=colour,
         linestyle=style,
         linewidth=0.7 if series.role == "muted" else 1.1,
-        marker="o" if points else "",
+        marker="o" if series.mark in ("points", "line+points") else "",
         markersize=3.5,
         capsize=2.0 if error is not None else 0.0,
         drawstyle="steps-mid" if series.mark == "steps" else "default",
-        label=name,
+        **look,
     )

@@ -81,28 +81,23 @@ def _on(axis: Axis, values: ArrayLike) -> list[float | None]:
 
 def _trace(series: Series, panel: Panel, suffix: str) -> dict[str, Any]:
     x, y = series.arrays()
-    colour = LIGHT[series.role]
+    colour, name = LIGHT[series.role], _text(series.name)
     trace: dict[str, Any] = {
         "x": _on(panel.x, x),
         "y": _on(panel.y, y if series.upper is None else series.upper),
         "xaxis": f"x{suffix}",
         "yaxis": f"y{suffix}",
-        "name": _text(series.name),
-        "legendgroup": _text(series.name),
-        "hovertemplate": _hover(series, panel),
+        "name": name,
+        "legendgroup": name,
     }
+    silent = series.role == "muted" and not series.name
+    trace |= {"hoverinfo": "skip"} if silent else {"hovertemplate": _hover(series, panel)}
     if series.segments is not None:
         trace["meta"] = np.asarray(series.segments).astype(int).tolist()
-    text = (
-        series.text
-        if series.text is not None
-        else tuple(panel.x.names[round(place) - 1] for place in x if panel.x.names)
-    )
+    text: Sequence[str] = [panel.x.names[round(place) - 1] for place in x if panel.x.names]
+    text = text if series.text is None else series.text
     if len(text):
         trace["text"] = [_text(one) for one in text]
-    if series.role == "muted" and not series.name:
-        trace["hoverinfo"] = "skip"
-        del trace["hovertemplate"]
     if series.error is not None:
         trace["error_y"] = {"array": _logarithmic(series.error), "color": colour, "thickness": 1, "width": 2}
     return trace | _look(series, colour)
@@ -155,63 +150,62 @@ def _log_ticks(series: Sequence[NDArray[np.float64]]) -> str | int:
     return "D2" if values.size and values.max() < _MANY * values.min() else 1
 
 
+_AXIS: dict[str, Any] = {
+    "tickfont": {"size": 11},
+    "gridcolor": GRID,
+    "linecolor": SOFT,
+    "tickcolor": SOFT,
+    "showline": True,
+    "ticks": "outside",
+    "ticklen": 4,
+    "zeroline": False,
+    "automargin": True,
+    "exponentformat": "power",
+    "minexponent": 5,
+}
+"""Look of an axis."""
+
+
 def _axis(axis: Axis, series: Sequence[NDArray[np.float64]], *, title: bool) -> dict[str, Any]:
-    spec: dict[str, Any] = {
-        "title": {"text": _text(axis.label) if title else "", "standoff": 6, "font": {"size": 12}},
-        "tickfont": {"size": 11},
-        "gridcolor": GRID,
-        "linecolor": SOFT,
-        "tickcolor": SOFT,
-        "showline": True,
-        "ticks": "outside",
-        "ticklen": 4,
-        "zeroline": False,
-        "automargin": True,
-        "exponentformat": "power",
-        "minexponent": 5,
-    }
+    text = {"text": _text(axis.label) if title else "", "standoff": 6, "font": {"size": 12}}
+    spec: dict[str, Any] = {"title": text, **_AXIS}
     if axis.log:
         spec |= {"type": "log", "dtick": _log_ticks(series)}
     if axis.dates:
         spec |= {"type": "date", "nticks": 7}
     if axis.names:
-        spec |= {
-            "tickvals": list(range(1, len(axis.names) + 1)),
-            "ticktext": [_text(name) for name in axis.names],
-        }
+        places, names = list(range(1, len(axis.names) + 1)), [_text(name) for name in axis.names]
+        spec |= {"tickvals": places, "ticktext": names}
     if axis.limits is not None:
-        low, high = axis.limits
-        spec["range"] = [math.log10(low), math.log10(high)] if axis.log else [low, high]
+        spec["range"] = [math.log10(end) if axis.log else end for end in axis.limits]
     return spec
 
 
 def _layout(figure: Figure) -> dict[str, Any]:
     """Layout with one cell of the grid for each panel. Panel titles stand above their panels, at the left."""
     rows, columns = figure.grid
-    titled = any(panel.title for panel in figure.panels)
+    titles = [_title(panel, _suffix(index)) for index, panel in enumerate(figure.panels) if panel.title]
+    height = _height(rows, figure.height)
+    legend = {"orientation": "h", "x": 0, "xanchor": "left", "yanchor": "bottom"}
     layout: dict[str, Any] = {
-        "height": _height(rows, figure.height),
-        "margin": {"l": 64, "r": 12, "t": 70 if titled else 44, "b": 48},
+        "height": height,
+        "margin": {"l": 64, "r": 12, "t": 70 if titles else 44, "b": 48},
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "hovermode": "closest",
         "separators": ".\u202f",
-        "legend": {"orientation": "h", "x": 0, "xanchor": "left", "yanchor": "bottom"},
+        "legend": legend | {"y": _legend_place(figure, height)},
         "grid": _grid(figure, rows, columns),
-        "annotations": [
-            _title(panel, _suffix(index)) for index, panel in enumerate(figure.panels) if panel.title
-        ],
+        "annotations": titles,
     }
-    layout["legend"]["y"] = _legend_place(figure, layout["height"])
     last = _suffix(len(figure.panels) - 1)
     for index, panel in enumerate(figure.panels):
         suffix = _suffix(index)
         inside = figure.shares_x and suffix != last
         drawn = [series.arrays() for series in panel.series]
-        x = _axis(panel.x, [x for x, _ in drawn], title=not inside)
-        y = _axis(panel.y, [y for _, y in drawn], title=True)
-        x, y = x | {"anchor": f"y{suffix}"}, y | {"anchor": f"x{suffix}"}
+        x = _axis(panel.x, [x for x, _ in drawn], title=not inside) | {"anchor": f"y{suffix}"}
+        y = _axis(panel.y, [y for _, y in drawn], title=True) | {"anchor": f"x{suffix}"}
         if inside:
             x |= {"matches": f"x{last}", "showticklabels": False}
         if panel.equal:
@@ -233,10 +227,9 @@ def _height(rows: int, inches: float) -> int:
 
 def _grid(figure: Figure, rows: int, columns: int) -> dict[str, Any]:
     """Cells of the panels, with room for the words between two rows."""
-    titled, labelled = any(panel.title for panel in figure.panels), not figure.shares_x
-    words = _BELOW * labelled + _ABOVE * titled
-    cell = figure.height * _PIXELS_PER_INCH
-    gap = max(_GAP_Y, words / cell) if rows > 1 else 0.0
+    titled = any(panel.title for panel in figure.panels)
+    words = _BELOW * (not figure.shares_x) + _ABOVE * titled
+    gap = max(_GAP_Y, words / (figure.height * _PIXELS_PER_INCH)) if rows > 1 else 0.0
     return {"rows": rows, "columns": columns, "pattern": "independent", "xgap": _GAP_X, "ygap": round(gap, 3)}
 
 

@@ -53,7 +53,7 @@ _LEAST_RATIO = 1e-25
 
 
 def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
-    r"""Round a value by its uncertainty.
+    """Round a value by its uncertainty.
 
     Parameters
     ----------
@@ -62,13 +62,6 @@ def rounded(value: float, uncertainty: float, *, digits: int = 2) -> Rounded:
         and the uncertainty a dash.
     digits:
         Significant digits of the uncertainty.
-
-    Examples
-    --------
-    >>> rounded(3.58762e-4, 1.2e-8).concise
-    '3.58762(12)\xa0×\xa010⁻⁴'
-    >>> rounded(1600.04, 5.21).value, rounded(1600.04, 5.21).uncertainty
-    ('1600.0', '5.2')
     """
     if not math.isfinite(value):
         return Rounded("not finite", "–", "not finite", "not finite")
@@ -113,25 +106,13 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def signed(value: float, decimals: int) -> str:
-    """A number with its sign and this many decimals. A number that rounds to zero has no sign.
-
-    Examples
-    --------
-    >>> signed(0.42, 1), signed(-0.04, 1)
-    ('+0.4', '0.0')
-    """
+    """A number with its sign and this many decimals. A number that rounds to zero has no sign."""
     text = fixed(value, decimals)
     return f"+{text}" if round(value, decimals) > 0.0 else text
 
 
 def short(value: float, digits: int = 3) -> str:
-    r"""A number of three significant digits for tables and tiles; powers of ten only when far from 1.
-
-    Examples
-    --------
-    >>> short(12345.6), short(2.8), short(0.001234), short(1.2e-7)
-    ('12\u202f346', '2.80', '0.00123', '1.20\xa0×\xa010⁻⁷')
-    """
+    """A number of three significant digits for tables and tiles; powers of ten only when far from 1."""
     if not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -153,13 +134,7 @@ def duration(seconds: float) -> str:
 
 
 def relative(value: float, uncertainty: float) -> str:
-    """Uncertainty as a share of the value, in %, ppm or ppb.
-
-    Examples
-    --------
-    >>> relative(1600.0, 5.2), relative(0.8885, 2e-6), relative(1.0, 3.0)
-    ('0.33 %', '2.3 ppm', '> 100 %')
-    """
+    """Uncertainty as a share of the value, in %, ppm or ppb."""
     if not (value and math.isfinite(uncertainty) and math.isfinite(value)):
         return "–"
     share = abs(uncertainty / value)
@@ -175,13 +150,7 @@ def printed(number: str) -> str:
 
 
 def ascii_text(text: str) -> str:
-    """A printed text for any terminal.
-
-    Examples
-    --------
-    >>> ascii_text("3.2 × 10⁻⁶ rad/√s"), ascii_text("− 12 µg/g²")
-    ('3.2e-6 rad/sqrt(s)', '- 12 ug/g^2')
-    """
+    """A printed text for any terminal."""
     text = re.sub(rf"\s*×\s*10([{_RAISED}]+)", lambda found: f"e{found[1].translate(_LOWER)}", text)
     return text.replace("√s", "sqrt(s)").translate(_ASCII)
 
