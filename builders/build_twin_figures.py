@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,7 +38,7 @@ from piga.instrument.twin.run import run_twin
 from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.axes import write_figure
-from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.figure import Plot, axis
 from piga.reports.stand import bode_figure, pole_figure, servo_figure, step_figure
 from piga.stand import DividingHead, Specimen, read_run, read_scenario, run_scenario, simulate_test
 from piga.stand.write_run import coefficients, run_file_text, write_data
@@ -69,7 +68,8 @@ def second_harmonic(motion, w):
     return math.hypot(fit[3], fit[4])
 
 
-def save(figure):
+def save(drawn, caption=""):
+    figure = drawn.caption(caption) if isinstance(drawn, Plot) else drawn
     write_figure(figure, OUT / f"{figure.key}.svg")
 
 
@@ -104,15 +104,12 @@ def stiffening():
     order = -np.polyfit(np.log(factors[1:]), np.log(errors[1:]), 1)[0]
     record("stiffening", "s", rows, f"preset `example`, 2 g along, 1 g across, 10 s; fitted order {order:.3f}")
     line = errors[-1] * factors[-1] / factors
-    panel = Panel(
-        Axis("all servo gains, multiplied by", "1", log=True),
-        Axis("largest difference in 10 s", "rad", log=True),
-        (
-            Series(factors, errors, name="twin less quasi-steady", mark="points"),
-            Series(factors, line, name="first order", role="muted", dashed=True),
-        ),
-    )
-    save(Figure("twin-stiffening", "Towards the quasi-steady model", (panel,)))
+    plot = Plot(
+        "twin-stiffening", "Towards the quasi-steady model",
+        "log all servo gains, multiplied by", "log largest difference in 10 s [rad]",
+    )  # fmt: skip
+    plot.points(factors, errors, "twin less quasi-steady")
+    save(plot.dashed(factors, line, "first order", "muted"))
 
 
 def rectification():
@@ -143,21 +140,15 @@ def rectification():
     )
     shift, textbook, full, harmonic = (1e6 * np.array(column) for column in zip(*rows, strict=True))
     gain = 1e-3 * gains
-    line = Series(gain, textbook, name="K a_t² ml w/(2 k_i)", role="model")
-    compliance = Series(gain, full, name="with full compliance", role="reference", dashed=True)
-    panels = tuple(
-        Panel(
-            Axis("integral gain", "kNm/(rad s)"),
-            Axis(name, "urad/s", log=True),
-            (Series(gain, values, name="twin", mark="points"), line, *more),
-            title,
-        )
-        for name, title, values, more in (
-            ("fall of the mean rate", "Rectification", shift, (compliance,)),
-            ("amplitude at order 2", "Second harmonic", harmonic, ()),
-        )
-    )
-    save(Figure("twin-rectification", "Finite servo stiffness", panels, columns=2))
+    plot = Plot("twin-rectification", "Finite servo stiffness", columns=2)
+    for name, title, values in (
+        ("fall of the mean rate", "Rectification", shift), ("amplitude at order 2", "Second harmonic", harmonic)
+    ):  # fmt: skip
+        plot.panel("integral gain [kNm/(rad s)]", f"log {name} [urad/s]", title)
+        plot.points(gain, values, "twin").line(gain, textbook, "K a_t² ml w/(2 k_i)", "model")
+        if title == "Rectification":
+            plot.dashed(gain, full, "with full compliance")
+    save(plot)
 
 
 def coulomb():
@@ -177,25 +168,13 @@ def coulomb():
         }
     rows.pop("0 mNm")
     record("coulomb", "M_c", rows, "preset `example` without integral action; 2 g along, 0.3 g across")
-    predicted = -friction / EXAMPLE.proportional_gain / ARCSEC
-    panels = (
-        Panel(
-            Axis("Coulomb friction", "mNm"),
-            Axis("shift of beta", "arcsec"),
-            (
-                Series(1e3 * friction, shifts, name="twin", mark="points"),
-                Series(1e3 * friction, predicted, name="-M_c/k_p", role="model"),
-            ),
-            "Tilt",
-        ),
-        Panel(
-            Axis("Coulomb friction", "mNm"),
-            Axis("change of the mean rate", "ppm", limits=(-1.0, 1.0)),
-            (Series(1e3 * friction, rates, name="twin", mark="line+points"),),
-            "Mean rate",
-        ),
-    )  # fmt: skip
-    save(Figure("twin-coulomb", "Coulomb friction on the outer axis", panels, columns=2))
+    plot = Plot("twin-coulomb", "Coulomb friction on the outer axis", columns=2)
+    plot.panel("Coulomb friction [mNm]", "shift of beta [arcsec]", "Tilt").points(
+        1e3 * friction, shifts, "twin"
+    )
+    plot.line(1e3 * friction, -friction / EXAMPLE.proportional_gain / ARCSEC, "-M_c/k_p", "model")
+    y = axis("change of the mean rate [ppm]", limits=(-1.0, 1.0))
+    save(plot.panel("Coulomb friction [mNm]", y, "Mean rate").marked(1e3 * friction, rates, "twin"))
 
 
 def k2():
@@ -216,38 +195,22 @@ def k2():
         }
     rows.pop("0 kg m²")
     record("k2", "D", rows, "preset `example`; even part of the rate at plus and minus 2 g")
-    panel = Panel(
-        Axis("product of inertia D", "mg m^2"),
-        Axis("k2", "ug/g^2"),
-        (
-            Series(1e6 * products, result, name="twin", mark="points"),
-            Series(1e6 * products, predicted, name="D K² g/ml", role="model"),
-        ),
-    )  # fmt: skip
-    save(Figure("twin-k2", "The origin of k2", (panel,)))
+    plot = Plot("twin-k2", "The origin of k2", "product of inertia D [mg m^2]", "k2 [ug/g^2]")
+    save(plot.points(1e6 * products, result, "twin").line(1e6 * products, predicted, "D K² g/ml", "model"))
 
 
 def start_up():
     p = replace(EXAMPLE, alpha0=0.7)
     t, f = constant((G0, 0.5 * G0, 0.0), 0.2, 2e-4)
     runs = {name: run_twin(p, t, f, start=name) for name in ("transient", "slow-manifold")}
-    series = tuple(
-        Series(1e3 * t, motion.beta / ARCSEC, name=name, role="before" if name == "transient" else "after")
-        for name, motion in runs.items()
-    )
-    panels = (
-        Panel(Axis("time", "ms"), Axis("tilt", "arcsec"), series, "Tilt"),
-        Panel(
-            Axis("time", "ms", limits=(0.0, 40.0)),
-            Axis("rate/(K a_x)", "1"),
-            tuple(
-                Series(1e3 * t[:201], m.rate[:201] / (p.K * G0), name=n, role=s.role)
-                for (n, m), s in zip(runs.items(), series, strict=True)
-            ),
-            "Output rate",
-        ),
-    )  # fmt: skip
-    save(Figure("twin-start", "Two ways to start", panels, columns=2))
+    plot = Plot("twin-start", "Two ways to start", columns=2).panel("time [ms]", "tilt [arcsec]", "Tilt")
+    roles = {"transient": "before", "slow-manifold": "after"}
+    for name, motion in runs.items():
+        plot.line(1e3 * t, motion.beta / ARCSEC, name, roles[name])
+    plot.panel(axis("time [ms]", limits=(0.0, 40.0)), "rate/(K a_x)", "Output rate")
+    for name, motion in runs.items():
+        plot.line(1e3 * t[:201], motion.rate[:201] / (p.K * G0), name, roles[name])
+    save(plot)
 
 
 def accuracy():
@@ -278,19 +241,6 @@ def accuracy():
         rows,
         "10 s from rest with start-up transient, hunting wheel and turning base; preset `example-floated`",
     )
-
-
-def speed():
-    """Seconds for ten minutes at 1 kHz, quiet and with noise of the pick-off."""
-    t, f = constant((G0, 0.3 * G0, 0.0), 600.0, 1e-3)
-    noise = np.zeros_like(f)
-    noise[:, 2] = 1e-7 * np.random.default_rng(1).standard_normal(t.size)
-    run_twin(EXAMPLE, t[:10], f[:10])
-    for name, p in PRESETS.items():
-        for label, held in (("quiet", None), ("pick-off noise", noise)):
-            started = time.perf_counter()
-            run_twin(p, t, f, noise=held)
-            print(f"{name}, {label}: {time.perf_counter() - started:.2f} s")
 
 
 def loop():
@@ -378,28 +328,18 @@ def triad():
     """Error along an input axis by revolution order: raw, compensated, and the noise that was put in."""
     orders, outcome = np.arange(0.3, 5.01, 0.02), run_triad(120.0)
 
-    def line(error, **look):
-        return Series(orders, spectrum(outcome.psi, error, orders) / (1e-6 * G0), **look)
-
-    series = (
-        line(outcome.before, name="before", role="before"),
-        line(outcome.after, name="after", role="after"),
-        line(outcome.noise, name="noise put in", role="reference", dashed=True),
-    )
-    y = Axis("error along the input axis", "µg", log=True)
-    save(
-        Figure(
-            key="compensation-triad-orders",
-            title="A triad of servo twins, before and after compensation.",
-            panels=(Panel(Axis("revolution order", "cycles/rev"), y, series),),
-            caption="Three twins on a cone, 120 s of slow swing. Order 1 is cross-coupling.",
-            height=3.0,
-        )
-    )
+    title = "A triad of servo twins, before and after compensation."
+    plot = Plot(
+        "compensation-triad-orders", title, "revolution order [cycles/rev]", "log error along the input axis [µg]", height=3.0
+    )  # fmt: skip
+    for name, error in (("before", outcome.before), ("after", outcome.after), ("noise put in", outcome.noise)):
+        size = spectrum(outcome.psi, error, orders) / (1e-6 * G0)
+        plot.line(orders, size, name, "reference", dashed=name == "noise put in")
+    save(plot, "Three twins on a cone, 120 s of slow swing. Order 1 is cross-coupling.")
 
 
 STUDIES = (
-    loop, stiffening, rectification, coulomb, k2, start_up, accuracy, speed, round_trip, missing_harmonic, lock, triad,
+    loop, stiffening, rectification, coulomb, k2, start_up, accuracy, round_trip, missing_harmonic, lock, triad,
 )  # fmt: skip
 
 
