@@ -192,7 +192,7 @@ def compare(
         if lines:
             document["line_budget"] = line_budget_document(lines)
         if out is not None and s.sensors.pigas is not None:
-            from piga.studies.capstone import capstone, capstone_page
+            from piga.studies.platform import capstone, capstone_page
 
             with progress("capstone") as show:
                 write_page(capstone_page(capstone(s, progress=show)), to / "capstone.html")

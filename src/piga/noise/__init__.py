@@ -6,8 +6,7 @@
 """
 
 from piga.noise.analysis import NoiseAnalysis, analyse_noise, read_static_log
-from piga.noise.deviations import AllanDeviation, allan_deviation
-from piga.noise.levels import NoiseLevel, NoiseSpectrum
+from piga.noise.deviations import AllanDeviation, NoiseLevel, NoiseSpectrum, allan_deviation
 
 __all__ = [
     "AllanDeviation",

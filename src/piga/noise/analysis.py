@@ -14,8 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import no_column
-from piga.noise.deviations import ORDERS, AllanDeviation, allan_deviation
-from piga.noise.levels import ALLAN, FEWEST, NoiseLevel, NoiseSpectrum, noise_levels
+from piga.noise.deviations import (
+    ALLAN,
+    FEWEST,
+    ORDERS,
+    AllanDeviation,
+    NoiseLevel,
+    NoiseSpectrum,
+    allan_deviation,
+    noise_levels,
+)
 from piga.records.run import examine_time
 from piga.records.run_file import DataTable
 from piga.results import Array, Plotted, Reported, Result

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from piga.noise.analysis import NoiseAnalysis, level_unit
-from piga.noise.deviations import ONE_SIGMA, AllanDeviation
-from piga.noise.levels import NoiseLevel, level_variances
+from piga.noise.deviations import ONE_SIGMA, AllanDeviation, NoiseLevel, level_variances
 from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short

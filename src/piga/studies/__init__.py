@@ -6,9 +6,9 @@
 ['pass', 'pass', 'info']
 """
 
-from piga.studies.capstone import Capstone, capstone, capstone_figure
 from piga.studies.case import Case, Chapter, published_recursion
 from piga.studies.constant import published_closed_form
+from piga.studies.platform import Capstone, capstone, capstone_figure
 from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce
 
 __all__ = [

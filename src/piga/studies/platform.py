@@ -1,24 +1,50 @@
-"""The platform [He2014]: redundancy-angle table, drift coupling, the ten-day runs, wobbling rotation axes."""
+"""The platform [He2014]: redundancy angle, drift coupling, ten days, wobbling rotation axes; gyro accelerometers on it.
+
+On a platform fixed in inertial space, gravity describes a cone once a sidereal day. Twice a day it crosses the plane
+normal to an input axis of a gyro accelerometer and passes the locked zone ``|a_x| < a_t tan(beta)``. :func:`capstone`
+reads the same days in several ways and navigates each time.
+
+With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
+another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
+one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))`` (own derivation,
+docs/theory/platform.md section 10).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
+from piga.errors import ArgumentError
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform.analysis import channels, line_amplitudes
-from piga.platform.chain import ModelComparisonRun, compare
+from piga.platform.chain import ModelComparisonRun, Preparation, compare, prepare
 from piga.platform.geometry import nulled_attitude
-from piga.platform.scenario import Compensation, Gyro, Harmonic, Model, Place, PlatformScenario, Rotation
-from piga.platform.simulate import simulate
-from piga.reports.platform.figures import lines_figure, published_figure
-from piga.reports.render.figure import Figure, Series
-from piga.results import Array
+from piga.platform.navigator import Errors, compensator, errors, navigate
+from piga.platform.scenario import (
+    Compensation,
+    Gyro,
+    Harmonic,
+    Model,
+    PigaSensors,
+    Place,
+    PlatformScenario,
+    Rotation,
+)
+from piga.platform.simulate import TRIPOD, PlatformRun, locked, mounting_axes, simulate
+from piga.progress import Progress, Steps
+from piga.reports.platform.figures import HOUR, lines_figure, published_figure, schuler_peak, time_axis
+from piga.reports.platform.page import page
+from piga.reports.render.figure import XYZ, Figure, Plot, Role, Series
+from piga.reports.render.numbers import short
+from piga.reports.render.page import Page, Section, Table, TableOf, Tile
+from piga.results import Array, Result
 from piga.studies.case import Chapter, Value, chapter_of
 from piga.units import ARCMIN, DAY
 
@@ -263,3 +289,254 @@ def _with_published(figure: Figure) -> Figure:
 
 def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
     return replace(figure, key=key, title=title or figure.title)
+
+
+# -- gyro accelerometers on the platform ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _TriadReading:
+    """One way to mount and read the instruments: ``sensors`` None is the ideal accelerometer."""
+
+    name: str
+    sensors: PigaSensors | None
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CapstoneOutcome(Result):
+    """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
+
+    reading: _TriadReading
+    errors: Errors
+    position: float
+    velocity: float
+    locked_per_day: Array
+    noise_gain: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Passage(Result):
+    """One instrument through its locked zone, with half an hour before and after.
+
+    ``part``: its samples; ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
+    predicts for one passage [m/s].
+    """
+
+    instrument: int
+    part: slice
+    lock_time: float
+    velocity_error: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Capstone(Result):
+    """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
+
+    scenario: PlatformScenario
+    outcomes: Mapping[str, CapstoneOutcome]
+    passage: Passage | None
+    day: tuple[Array, Array]
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """Largest errors with each reading."""
+        return [
+            (name, f"position within {one.position:.4g} m, velocity within {one.velocity:.3g} m/s")
+            for name, one in self.outcomes.items()
+        ]
+
+
+def readings(sensors: PigaSensors) -> tuple[_TriadReading, ...]:
+    """The readings compared: from the ideal instrument to the locked one, and back."""
+
+    def read(name: str, sentence: str, **changes: Any) -> _TriadReading:
+        exact = {"mounting": "skewed", "tan_beta_error": 0.0, "phase_error": 0.0}
+        return _TriadReading(name, msgspec.structs.replace(sensors, **exact | changes), sentence)
+
+    wrong = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
+    if sensors.tan_beta_error or sensors.phase_error:
+        wrong = {name: getattr(sensors, name) for name in wrong}
+    near = f"axes within {np.degrees(sensors.cone):.0f} deg of the pole: never locked, still pulled"
+    solved = "solved with tan(beta) and phase off by a calibration's error"
+    return (
+        _TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
+        read("raw tripod", "three axes at right angles, output taken as alpha'/K", cone=TRIPOD, output="raw"),
+        read("raw skewed", near, output="raw"),
+        read("triad", "right angles, effective axes solved per sample", cone=TRIPOD, output="triad"),
+        read("triad skewed", "skewed and solved per sample", output="triad"),
+        read("triad, calibrated", solved, cone=TRIPOD, output="triad", **wrong),
+    )
+
+
+def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
+    """Navigate the scenario with every reading of its gyro accelerometers (model B).
+
+    ``progress`` is called as ``progress(done, total, what)`` before each reading; it returns False to stop
+    (:mod:`piga.progress`).
+
+    Raises
+    ------
+    ArgumentError
+        If the scenario has no gyro accelerometers.
+    CancelledError
+        If ``progress`` returns False.
+    """
+    sensors = scenario.sensors.pigas
+    if sensors is None:
+        raise ArgumentError(
+            f"{scenario.source or 'the scenario'}: there are no gyro accelerometers",
+            remedy="set [sensors] accelerometers = 'piga'",
+        )
+    ways = readings(sensors)
+    steps = Steps(progress, 2 + len(ways))
+    steps("simulating")
+    ideal = simulate(replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=None)))
+    steps("identifying and aligning")
+    preparation = prepare(ideal)
+    outcomes = {}
+    for reading in ways:
+        steps(f"navigating, {reading.name}")
+        read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=reading.sensors))
+        run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
+        outcomes[reading.name] = _outcome(run, reading, preparation)
+    tripod = next(way.sensors for way in ways if way.name == "raw tripod")
+    assert tripod is not None  # noqa: S101 - named above
+    times, force = ideal.readouts.times, ideal.truth.force
+    one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
+    along = force[one_day] @ mounting_axes(tripod)[:, 0, :].T
+    steps.finish()
+    return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
+
+
+def _outcome(run: PlatformRun, reading: _TriadReading, preparation: Preparation) -> CapstoneOutcome:
+    s = run.scenario
+    made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+    every = max(1, round(10.0 / s.step))
+    error = errors(
+        navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every),
+        run.truth,
+        run.readouts,
+    )
+    axes = np.eye(3) if reading.sensors is None else mounting_axes(reading.sensors)[:, 0, :]
+    inside = (
+        np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * DAY
+    )
+    return CapstoneOutcome(
+        reading,
+        error,
+        float(error.horizontal.max()),
+        float(np.hypot(error.velocity[:, 0], error.velocity[:, 1]).max()),
+        inside,
+        float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0)),
+    )
+
+
+def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
+    """Largest velocity error of one passage [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
+
+    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/theory/platform.md
+    section 10.
+    """
+    return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))
+
+
+def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
+    """The first passage of any instrument through its locked zone."""
+    inside = locked(sensors, run.truth.force)
+    if not inside.any():
+        return None
+    first = int(np.argmax(inside.any(axis=1)))
+    instrument = int(np.argmax(inside[first]))
+    margin = round(1800.0 / run.readouts.step)
+    part = slice(max(0, first - margin), min(len(inside) - 1, first + margin) + 1)
+    times, force = run.readouts.times[part], run.truth.force[part]
+    along = force @ mounting_axes(sensors)[instrument, 0]
+    width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
+    slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
+    K = sensors.scale_factor
+    return Passage(instrument, part, 1.0 / (K * width), passage_velocity(width, K, slope))
+
+
+def _force_day_figure(capstone: Capstone) -> Figure:
+    """Specific force along each input axis over a sidereal day, with the locked zone marked."""
+    times, along = capstone.day
+    sensors = capstone.scenario.sensors.pigas
+    width = 9.8 * (sensors.tan_beta if sensors else 0.0)
+    title = "Gravity sweeps through every input axis"
+    plot = Plot("fig-day", title, "time [h]", "force along the input axis [m/s^2]")
+    for k, role in enumerate(XYZ):
+        plot.line(times / HOUR, along[:, k], f"instrument {k + 1}", role)
+    plot.dashed([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "warning")
+    return plot.caption(
+        "Three axes at right angles round the pole. Each crosses zero twice a day, "
+        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it."
+    )
+
+
+def capstone_figure(capstone: Capstone) -> Figure:
+    """Horizontal position error over the run for every reading."""
+    looks: dict[str, tuple[Role, bool]] = {
+        "ideal": ("reference", True),
+        "raw tripod": ("before", False),
+        "raw skewed": ("warning", False),
+        "triad": ("after", False),
+        "triad skewed": ("model", True),
+        "triad, calibrated": ("z", True),
+    }
+    axis, unit = time_axis(float(capstone.scenario.duration))
+    title = "Ten days with three gyro accelerometers"
+    plot = Plot("fig-capstone", title, axis, "log horizontal position error [m]", height=3.6)
+    for name, o in capstone.outcomes.items():
+        peak = np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4)
+        role, dashed = looks[name]
+        plot.line(o.errors.times / unit, peak, name, role, dashed=dashed)
+    return plot.caption("Largest error within each 84 minutes.")
+
+
+def capstone_page(capstone: Capstone) -> Page:
+    """Page on the effect of the locked zone on the platform, and its compensation."""
+    raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
+    skewed = capstone.outcomes["raw skewed"]
+    tiles = (
+        Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
+        Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
+        Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
+    )
+    story = (
+        "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
+        "horizontal twice a sidereal day and is inside its locked zone for "
+        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
+        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
+        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
+        f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
+        f"instruments give the force back in any mounting: {short(solved.position)} m, against "
+        f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
+    )
+    sections = (
+        Section("What happens", "story", (story, capstone_figure(capstone), _capstone_table(capstone))),
+        Section("Why", "why", (_force_day_figure(capstone),)),
+    )
+    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
+
+
+def _passage_words(capstone: Capstone) -> str:
+    p = capstone.passage
+    if p is None:
+        return "No instrument passes its locked zone here."
+    return (
+        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so "
+        f"slowly that its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
+    )
+
+
+def _capstone_table(capstone: Capstone) -> Table:
+    return (
+        TableOf(capstone.outcomes.values())
+        .text("reading", lambda o: o.reading.name)
+        .number("position error", lambda o: short(o.position), "m")
+        .number("velocity error", lambda o: short(1e3 * o.velocity), "mm/s")
+        .number("locked", lambda o: short(float(o.locked_per_day.max())), "s/day")
+        .number("noise gain", lambda o: short(o.noise_gain))
+        .text("what it is", lambda o: o.reading.sentence)
+        .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
+    )

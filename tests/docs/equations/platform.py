@@ -26,7 +26,7 @@ from piga.platform.geometry import (
 )
 from piga.platform.navigator import damping_gains
 from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation
-from piga.studies.capstone import passage_velocity
+from piga.studies.platform import passage_velocity
 from tests.platform.conftest import published
 
 from .registry import Pair, equation

@@ -10,7 +10,7 @@ from scipy.fft import dct
 from scipy.signal import lfilter
 
 from piga.errors import PigaError
-from piga.noise.levels import SOURCES, _columns, level_variances, noise_levels
+from piga.noise.deviations import SOURCES, _columns, level_variances, noise_levels
 from piga.stand import read_scenario, run_scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,7 +11,7 @@ import pytest
 from piga.errors import ArgumentError
 from piga.platform.scenario import Compensation, Gyro, PigaSensors, Sensors
 from piga.platform.simulate import TRIPOD, gimbal_angles, locked, mounting_axes, read_increments, simulate
-from piga.studies.capstone import capstone
+from piga.studies.platform import capstone
 from tests.platform.conftest import DEG, long, published
 
 pytestmark = pytest.mark.interpreted
