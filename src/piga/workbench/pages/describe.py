@@ -6,6 +6,7 @@ The guesses are those of ``piga init``. A column is corrected at the column, a q
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -142,18 +143,17 @@ def _taken(folder: Folder, name: str) -> dict[str, Any]:
     }
 
 
-def _preview(made: _Sheet) -> list[list[str]]:
+def _preview(described: LogDescription) -> list[tuple[str, ...]]:
     """The first values of each column, as they were read."""
-    layout, numbers = made.described.layout, made.described.numbers
-    columns = []
-    for column in made.described.columns:
-        cells = [column.example]
+    layout = described.layout
+
+    def cells(column: ColumnGuess) -> list[str]:
         if layout is not None and column.name in layout.sample:
-            cells = [str(cell) for cell in layout.sample[column.name][:_ROWS]]
-        elif column.name in numbers:
-            cells = [significant(float(value), 7) for value in numbers[column.name][:_ROWS]]
-        columns.append([cell[:24] for cell in cells] + [""] * (_ROWS - len(cells)))
-    return [list(row) for row in zip(*columns, strict=True) if any(row)]
+            return layout.sample[column.name][:_ROWS]
+        numbers = described.numbers.get(column.name, ())[:_ROWS]
+        return [significant(float(value), 7) for value in numbers] or [column.example]
+
+    return list(zip_longest(*map(cells, described.columns), fillvalue=""))
 
 
 def _page(request: Request, sent: Sent) -> Response:
@@ -174,7 +174,7 @@ def _page(request: Request, sent: Sent) -> Response:
     values = left(bench, name) | {"sheet": made, "message": fault or (made.message if made else "")}
     if made is not None:
         values |= {
-            "roles": _roles(), "role": _role, "column_units": UNITS, "rows": _preview(made), "took": sent.get("take", ""),
+            "roles": _roles(), "role": _role, "column_units": UNITS, "rows": _preview(made.described), "took": sent.get("take", ""),
             "others": [entry.name for entry in bench.folder.entries() if entry.state in ("ready", "kept")],
             "open_columns": [one for one in made.draft.open if not _is_field(one)],
             "notes": [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],

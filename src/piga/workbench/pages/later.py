@@ -182,7 +182,7 @@ def _certificate(request: Request, sent: Sent) -> Response:
     with contextlib.suppress(PigaError):
         seen = bench.history.seen(bench.folder.text(CERTIFICATE))
     return render(
-        request, "certificate.html.jinja", 422 if sent else 200, **left(bench), one=kept, message=message, seen=seen,
+        request, "certificate.html.jinja", 422 if sent else 200, **left(bench, kept_name=of), one=kept, message=message, seen=seen,
         items=[(item.key.partition(".")[0], item) for item in items],
         missing=sum(not item.typed for item in items),
     )  # fmt: skip
@@ -217,7 +217,8 @@ def _asked(
     typed = [field.with_sent(sent) for field in fields] if sent else fields
     if sent and not any(field.refusal for field in typed):
         return {field.key: field for field in typed}, None
-    values = left(bench_of(request)) | {"title": title, "words": words, "fields": typed, "link": link}
+    shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
+    values = shown | {"title": title, "words": words, "fields": typed, "link": link}
     return {}, render(request, "form.html.jinja", 422 if sent else 200, **values)
 
 

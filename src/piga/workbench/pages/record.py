@@ -7,6 +7,7 @@ import hashlib
 import secrets
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -21,6 +22,7 @@ from starlette.routing import Route
 from piga.data import copy_example
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
+from piga.records.calibration import Coefficient
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
 from piga.records.text_files import files_named_in
@@ -60,12 +62,12 @@ def _tags_of(bench: Bench) -> dict[str, list[str]]:
     return {}
 
 
-def left(bench: Bench, name: str = "") -> dict[str, Any]:
-    """Records and calibrations of the instrument that a page is about."""
+def left(bench: Bench, name: str = "", kept_name: str = "") -> dict[str, Any]:
+    """Records and calibrations of the instrument that a page is about: that of a record or of a kept calibration."""
     entries = bench.folder.entries()
     firsts = {entry.serial: entry.name for entry in entries if entry.serial}
-    here = next((entry.serial for entry in entries if entry.name == name), "")
-    serial = here or next((entry.serial for entry in entries if entry.serial), "")
+    here = (e.serial for e in entries if e.name == name or kept_name in [one.name for one in e.kept])
+    serial = next(here, "") or next(iter(firsts), "")
     mine = [entry for entry in entries if entry.serial in (serial, "") or entry.name == name]
     kept = sorted((one for entry in mine for one in entry.kept), key=lambda one: one.created)
     tags = _tags_of(bench)
@@ -91,7 +93,7 @@ def _home(request: Request) -> Response:
     if not entries:
         return render(request, "first.html.jinja")
     first = next((entry for entry in entries if entry.state != "log"), entries[0])
-    return redirect(f"/{'log' if first.state == 'log' else 'record'}/{quote(first.name)}")
+    return redirect(f"/record/{quote(first.name)}")
 
 
 def _try_shipped(request: Request) -> Response:
@@ -120,8 +122,7 @@ async def _take(request: Request) -> Response:
         await run_in_threadpool(put_in_place, part, target, replace=False)
     finally:
         part.unlink(missing_ok=True)
-    kind = "record" if target.suffix == ".toml" else "log"
-    return JSONResponse({"name": target.name, "address": f"/{kind}/{quote(target.name)}"})
+    return JSONResponse({"name": target.name, "address": f"/record/{quote(target.name)}"})
 
 
 def _tag(request: Request, sent: Sent) -> Response:
@@ -153,27 +154,29 @@ def _show(request: Request) -> Response:
         return redirect(f"/log/{quote(name)}")
     values: dict[str, Any] = {
         "entry": entry,
+        "query": request.url.query,
         "outline": None,
         "job": None,
-        "waits": "",
-        "message": "",
-        "seen": "",
+        "right": {},
     }
-    values |= {"query": request.url.query, "repairs": [], "right": {}, "ended": _ENDED}
+    values |= {"waits": "", "message": "", "seen": "", "repairs": []}
     with contextlib.suppress(PigaError):
         values["seen"] = bench.history.seen(bench.folder.text(name))
     try:
-        outline, job = (None, None) if entry.state == "faulty" else _reading(bench, name)
-        values |= {"outline": outline, "job": job}
+        if entry.state == "faulty":
+            values["message"] = entry.message
+        else:
+            values["outline"], job = _reading(bench, name)
+            if job is not None and job.state in _ENDED:
+                values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
+            values["job"] = job
     except BusyError as error:  # the page asks again
         values["waits"] = error.message
-        outline = job = None
-    if outline is not None:
+    if values["message"]:
+        values["repairs"] = _repairs(bench, entry)
+    if (outline := values["outline"]) is not None:
         values["drawn"] = msgspec.json.encode(outline).decode()
         values["right"] = _answer(bench, name, outline, request.query_params.getlist("term"))
-    elif entry.state == "faulty" or (job is not None and job.state in _ENDED):
-        told = entry.message if job is None else job.text("err").removeprefix("piga: ")
-        values |= {"message": told or "The reading was stopped.", "repairs": _repairs(bench, entry)}
     return render(request, "record.html.jinja", **left(bench, name), **values)
 
 
@@ -308,7 +311,14 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
     always = "k1" if "k1" in usual else "scale_factor"
     terms = tuple(dict.fromkeys((always, *ticked))) if ticked else usual
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
-    values: dict[str, Any] = {"answer": None, "every": 1, "fit": None, "message": "", "waits": ""}
+    values: dict[str, Any] = {
+        "answer": None,
+        "every": 1,
+        "fit": None,
+        "message": "",
+        "waits": "",
+        "former": None,
+    }
     values |= {
         "always": always,
         "usual": set(terms) == set(usual),
@@ -329,12 +339,12 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
         return values | {"message": str(error)}
     if fit is not None and fit.state in _ENDED:
         values["message"] = fit.text("err") or "The fit was stopped."
-    if answer is None:
-        return values | {"fit": fit}
     last = bench.answers.get(name, [])
-    if every == 1 and key not in last[:1]:
+    if answer is not None and every == 1 and key not in last[:1]:
         bench.answers[name] = last = [key, *last][:2]
     former = next((bench.folder.kept(_trial(bench, one)) for one in last if one != key), None)
+    if answer is None:
+        return values | {"fit": fit, "former": former}
     return values | {"answer": answer, "every": every, "fit": fit, "key": key, "rows": _rows(answer, former)}
 
 
@@ -365,7 +375,7 @@ def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *o
 
 def _rows(answer: Kept, former: Kept | None) -> list[dict[str, Any]]:
     """The coefficients in the units of every page, with those of the former answer."""
-    before = {} if former is None else {one.key: one for one in former.calibration.coefficients}
+    before: Mapping[str, Coefficient] = former.calibration if former else {}
     rows = []
     for one in answer.calibration.coefficients[:_MOST_ROWS]:
         factor, unit = shown_unit(one.name, one.unit)
@@ -420,10 +430,9 @@ def kept_of(bench: Bench, name: str) -> Kept:
 def _show_kept(request: Request) -> Response:
     """A kept calibration: its report and files."""
     bench, name = bench_of(request), request.path_params["name"]
-    kept, entries = kept_of(bench, name), bench.folder.entries()
-    entry = next((one for one in entries if kept in one.kept), None)
+    kept, values = kept_of(bench, name), left(bench, kept_name=name)
+    entry = next((one for one in values["entries"] if kept in one.kept), None)
     names = [path.name for path in bench.folder.files() if bench.folder.name(path.parent) == name]
-    values = left(bench, entry.name if entry else "")
     return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
 
 
@@ -450,17 +459,14 @@ def _compare(request: Request) -> Response:
     if len(names) != 2:
         raise ArgumentError("two results are needed", remedy="tick two kept results at the left")
     pair = [kept_of(bench, name) for name in names]
-    one, other = ({c.key: c for c in kept.calibration.coefficients} for kept in pair)
+    one, other = (kept.calibration for kept in pair)
     table = []
     for key in dict.fromkeys((*one, *other)):
-        there = [c[key] for c in (one, other) if key in c]
-        factor, unit = shown_unit(key, there[0].unit)
-        row: dict[str, Any] = {"key": key, "unit": unit}
-        row["cells"] = [
-            (factor * c[key].value, factor * c[key].std) if key in c else None for c in (one, other)
-        ]
-        if len(there) == 2:
-            (first, u), (second, v) = row["cells"]
+        factor, unit = shown_unit(key, (one if key in one else other)[key].unit)
+        cells = [(factor * c[key].value, factor * c[key].std) if key in c else None for c in (one, other)]
+        row: dict[str, Any] = {"key": key, "unit": unit, "cells": cells}
+        if cells[0] and cells[1]:
+            (first, u), (second, v) = cells[0], cells[1]
             row |= {"difference": second - first, "u": float(np.hypot(u, v))}
         table.append(row)
     return render(request, "compare.html.jinja", **left(bench), pair=pair, table=table)
