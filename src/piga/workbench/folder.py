@@ -242,14 +242,15 @@ class Folder:
             described.add(data)
             place = self.name(results_of(path))
             mine = tuple(one for one in kept if one.record == place)
-            entry = replace(entry, kept=mine)
-            if entry.state == "ready" and _is_regular(data):
+            is_there = bool(entry.log) and _is_regular(data)
+            if is_there:
                 status = data.stat()
-                state = "kept" if mine else "ready"
-                entry = replace(entry, state=state, size=status.st_size, changed=status.st_mtime)
-            elif entry.state == "ready":
+                entry = replace(entry, size=status.st_size, changed=status.st_mtime)
+            if entry.state == "ready" and not is_there:
                 words = f"{entry.log}: there is no such file beside the run file\n  remedy: copy it there"
                 entry = replace(entry, state="faulty", message=words)
+            state = "kept" if mine and entry.state == "ready" else entry.state
+            entry = replace(entry, state=state, kept=mine)
             entries.append(entry)
         for path in files:
             if file_kind(path) in _LOG_SUFFIXES and path not in described:

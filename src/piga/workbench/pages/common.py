@@ -20,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
+from piga.records.terms import shown_output
 from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
 from piga.workbench.folder import TRIALS, ChangedError, Folder, History, OutsideError
@@ -84,7 +85,7 @@ def _environment() -> Any:
     )  # fmt: skip
     made.filters |= {"unit": pretty_unit, "count": count, "moment": _moment, "sentence": sentence}
     made.filters |= {"number": lambda value, digits=4: significant(value, digits), "path": quote}
-    made.globals |= {"rounded": rounded, "version": __version__}
+    made.globals |= {"rounded": rounded, "version": __version__, "output_unit": shown_output}
     return made
 
 

@@ -24,8 +24,8 @@ from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
 from piga.records.calibration import Coefficient
 from piga.records.run_file import read_run_file
-from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_output, shown_unit, turns
-from piga.records.text_files import files_named_in
+from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
+from piga.records.text_files import files_named_in, toml_value
 from piga.reports.render.numbers import rounded
 from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
 from piga.workbench.jobs import FIT, BusyError, Job
@@ -254,7 +254,7 @@ def _set(_bench: Bench, _name: str, document: Any, sent: Sent) -> str:
     import tomlkit
 
     place, _, key = sent["key"].partition(".")
-    document.setdefault(place, tomlkit.table())[key] = tomlkit.value(sent["value"])
+    document.setdefault(place, {})[key] = tomlkit.value(sent["value"])
     return f"set {key} = {sent['value']}"
 
 
@@ -289,9 +289,7 @@ def _leave_out(bench: Bench, name: str, document: Any, sent: Sent) -> str:
         raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
     entries = document["data"].setdefault("leave_out", tomlkit.array())
     for rows in spans:
-        entry = tomlkit.inline_table()
-        entry.update({"rows": list(rows), "reason": reason})
-        entries.append(entry)
+        entries.append(tomlkit.value(toml_value({"rows": list(rows), "reason": reason})))
     entries.multiline(multiline=True)
     return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
 
@@ -311,23 +309,16 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
     always = "k1" if "k1" in usual else "scale_factor"
     terms = tuple(dict.fromkeys((always, *ticked))) if ticked else usual
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
+    terms_shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {
         "answer": None,
         "every": 1,
         "fit": None,
+        "former": None,
         "message": "",
         "waits": "",
-        "former": None,
     }
-    values |= {
-        "always": always,
-        "usual": set(terms) == set(usual),
-        "chosen": terms,
-        "output_unit": shown_output,
-    }
-    values["terms"] = [
-        (one, meaning_of(one), one in terms) for one in boxes if (one == "k1") <= (one == always)
-    ]
+    values |= {"terms": terms_shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual)}
     try:
         check_terms(terms, output=run_file.unit)
         state = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
