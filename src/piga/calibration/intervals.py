@@ -107,7 +107,7 @@ def find_interval(
         for r in repetitions
     ]
     variances = [r.variance for r in repetitions]
-    scattered = [_without_rate(part, variance) for part, variance in zip(rows, variances, strict=True)]
+    scattered = [without_rate(part, variance) for part, variance in zip(rows, variances, strict=True)]
     u, degrees = sandwich(scattered, repetitions, words)
     excess, probability, slow = _order(rows, repetitions)
     growth = np.ones(u.size)
@@ -147,7 +147,7 @@ def parameter_rows(
     return triangle(np.column_stack([own, both]))[1:, 1:]
 
 
-def _without_rate(rows: Array, variance: float) -> Array:
+def without_rate(rows: Array, variance: float) -> Array:
     """Triangle ``[parameters | residual]`` of a position whose rate has this variance."""
     names = (*map(str, range(rows.shape[1] - 2)), "rate")
     return Reduction(names, rows).without(("rate",), variance).factor
@@ -164,7 +164,7 @@ def sandwich(
     ``P_jj^-1/2`` (own choice). ``names`` and ``repetitions`` are for a refusal.
     """
     p = parts[0].shape[1] - 1
-    inverse = _inverse_root(parts, p)
+    inverse = inverse_root(parts, p)
     x = np.array([part[:, :p] @ inverse for part in parts])
     missed = np.array([part[:, p] for part in parts])
     moved = np.einsum("jka,jk->a", x, missed)
@@ -195,7 +195,7 @@ def sandwich(
     return u, degrees
 
 
-def _inverse_root(parts: Sequence[Array], p: int) -> Array:
+def inverse_root(parts: Sequence[Array], p: int) -> Array:
     """L with ``L L' = (sum of information)^-1`` of the first p columns."""
     stacked = np.vstack([part[:, :p] for part in parts])
     scale = np.linalg.norm(stacked, axis=0)
@@ -246,7 +246,7 @@ def _between_runs(
         for k in sorted(set(runs))
     ]
     p = u.size
-    inverse = _inverse_root(together, p)
+    inverse = inverse_root(together, p)
     x = np.array([part[:, :p] @ inverse for part in together])
     value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
     share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / (inverse**2).sum(axis=1)[None, :, None]
@@ -265,7 +265,7 @@ def _order(rows: Sequence[Array], repetitions: Sequence[Repetition]) -> tuple[fl
     from scipy.special import fdtrc
 
     p = rows[0].shape[1] - 2
-    inverse = _inverse_root(rows, p)
+    inverse = inverse_root(rows, p)
     x = [part[:, :p] @ inverse for part in rows]
     unit = np.array([part[:, p] @ part[:, p] for part in rows])
     if (unit <= 0.0).any():

@@ -11,10 +11,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from piga.calibration.fit import Fit, history_of, without_scatter
+from piga.calibration.fit import history_of
 from piga.calibration.joint import JointFit, sources_of_stand
 from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
-from piga.calibration.model.solution import variances_of
 from piga.calibration.model_choice import compare_models
 from piga.calibration.orders import residual_angles
 from piga.calibration.remarks.advice import advise, looks_wrong
@@ -123,7 +122,7 @@ def make_result(
         unit=first.unit,
     )
     if fit.only:
-        result = _of_one_run(result, fit.only, candidates, doubts)
+        result = _of_one_run(result, fit, fit.only, candidates, doubts)
     else:
         missing = suggest_terms(candidates, coefficients)
         scattered = any(summary.noise.scatter > 0.0 for summary in fit.summaries)
@@ -134,7 +133,7 @@ def make_result(
 
 
 def _of_one_run(
-    result: Calibration, live: LiveRun, candidates: Candidates, doubts: tuple[LeftOut, ...]
+    result: Calibration, fit: JointFit, live: LiveRun, candidates: Candidates, doubts: tuple[LeftOut, ...]
 ) -> Calibration:
     """The result with what is found for a single run only: settings, comparison of models, leverage, missing terms, advice."""
     run, request = live.run, live.request
@@ -148,7 +147,7 @@ def _of_one_run(
         diagnostics=replace(result.diagnostics, model_comparison=compared),
         history=history_of(live.fit) if request.method == "recursive" else None,
     )
-    return _with_remarks(result, live.fit, candidates, doubts)
+    return _with_remarks(result, fit, live, candidates, doubts)
 
 
 def _residuals_of(fit: JointFit, index: int, live: LiveRun, kind: str) -> _RunResiduals:
@@ -263,21 +262,20 @@ def _provenance(fit: JointFit) -> Provenance:
 
 
 def _with_remarks(
-    result: Calibration, fit: Fit, candidates: Candidates, doubts: tuple[LeftOut, ...]
+    result: Calibration, fit: JointFit, only: LiveRun, candidates: Candidates, doubts: tuple[LeftOut, ...]
 ) -> Calibration:
     """The result with ``leverage``, ``missing_terms`` and ``advice`` in its diagnostics and in its notes.
 
     ``candidates`` are those of the fit without slow noise. A signature of the servo is reported by the suggestion of its term or
     by a sentence of its own.
     """
-    plain, slow, coefficients = without_scatter(fit), fit.noise.scatter > 0.0, result.coefficients
-    quiet = _known_without_slow(fit, plain, coefficients) if slow else coefficients
-    leverage, alone, moved = find_leverage(plain, quiet, slow, {c.name: c.std for c in coefficients})
+    coefficients, live = result.coefficients, only.fit
+    leverage, alone, moved = find_leverage(fit, candidates.fit, coefficients)
     scale = scale_over_nominal(result)
-    advice = advise(fit.design.run, fit.design.request, scale) if looks_wrong(result) else ()
+    advice = advise(live.design.run, live.design.request, scale) if looks_wrong(result) else ()
     missing = () if advice else suggest_terms(candidates, coefficients)
     diagnostics = replace(result.diagnostics, leverage=leverage, advice=advice, missing_terms=missing)
-    suggested = _suggested(missing, doubts, coefficients, scattered=slow)
+    suggested = _suggested(missing, doubts, coefficients, scattered=live.noise.scatter > 0.0)
     cause = (*((math.inf, words) for words in advice), *suggested) or moved
     result = replace(result, remarks=(*alone, *result.remarks), diagnostics=diagnostics)
     return _with_sentences(result, cause)
@@ -316,15 +314,6 @@ def _with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]])
     doubts = [words for shift, words in said if shift > 1.0]
     remarks = [words for shift, words in said if not shift > 1.0]
     return replace(result, notes=(*doubts, *result.notes), remarks=(*remarks, *result.remarks))
-
-
-def _known_without_slow(fit: Fit, plain: Fit, coefficients: tuple[Coefficient, ...]) -> tuple[Coefficient, ...]:
-    """Coefficients with standard uncertainties without slow noise."""
-    named = [variances_of(one.design, one.solution, one.solution.covariance) for one in (fit, plain)]
-    return tuple(
-        replace(c, std=math.sqrt(max(c.std**2 - noisy + quiet, quiet)))
-        for c, noisy, quiet in zip(coefficients, *named, strict=True)
-    )
 
 
 def _with_creep(result: Calibration, fit: JointFit) -> Calibration:

@@ -449,11 +449,6 @@ def name_coefficients(
     return name_parameters(layout, solution, covariance, run.scale_factor, terms, owners, run.unit)
 
 
-def variances_of(design: Design, solution: Estimate, covariance: Array) -> Array:
-    """Variances of the coefficients of one run (file units) for a covariance of the internal parameters."""
-    return np.diag(name_coefficients(design, solution, covariance)[1]).copy()
-
-
 def name_parameters(
     layout: Layout,
     estimate: Estimate,
@@ -527,33 +522,3 @@ def asked_order(layout: Layout, terms: tuple[str, ...], phases: int) -> list[int
     rank = {name: i for i, name in enumerate(terms)}
     rank["phi"] = rank.get("tan_beta", 0)
     return sorted(range(len(names)), key=lambda i: (rank[names[i]], i))
-
-
-def parameter_rows(design: Design, solution: Solution, segment: int, rows: Array) -> Array:
-    """Rows of a segment in the parameters of a finished fit, reduced to ``[parameters | rest]``; linear about the fit.
-
-    With one phase the parameters are the column coefficients, and nothing is approximated. With one phase per
-    segment they are the amplitudes, and the phase of a segment is eliminated from its own rows.
-
-    Parameters
-    ----------
-    design, solution:
-        Of the fit.
-    segment:
-        Index of the segment.
-    rows:
-        (k, m + r): weighted model columns in the order of ``design.names``, then any other columns.
-
-    Returns
-    -------
-    ndarray
-        At most (n + r, n + r): n column coefficients with one phase, n amplitudes with several.
-    """
-    if not design.has_phases:
-        return np.asarray(np.linalg.qr(rows, mode="r"))
-    layout, m = layout_of(design), len(design.names)
-    derivative = rows[:, :m] @ solution.jacobians[segment]
-    phase = derivative[:, layout.size + design.groups[segment]]
-    both = np.column_stack([phase, derivative[:, : layout.size], rows[:, m:]])
-    factor = np.asarray(np.linalg.qr(both, mode="r"))
-    return factor[1:, 1:] if phase.any() else factor[:, 1:]
