@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from piga.calibration.fit import Fit
-from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_own_sources
+from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_all_sources
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.sources import sources, with_units
-from piga.calibration.weights import reduce_segments
+from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
 from piga.records.run import Run
@@ -21,7 +21,7 @@ from tests.calibration.made.synthetic import record
 
 def fit_of(run: Run, terms: str, phases: str) -> JointFit:
     request = make_request(run, [name.strip() for name in terms.split(",")], None, phases, None, None)
-    return with_own_sources(fit_alone(run, request, SILENT), SILENT)
+    return with_all_sources(fit_alone(run, request, SILENT), SILENT)
 
 
 def check_effects(run: Run, terms: str, phases: str) -> Fit:
@@ -36,7 +36,8 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
 
     def estimate(moved: Run) -> np.ndarray:
         design = fit.design.of(moved)
-        solution = solve(design, reduce_segments(design, fit.mode, fit.noise))
+        parts = with_scatter(reduce_positions(design, fit.mode, fit.noise), fit.noise)
+        solution = solve(design, of_segments(parts, Positions.of(moved)))
         return np.array([c.value for c in name_coefficients(design, solution, solution.covariance)[0]])
 
     units = with_units(fit.design.run)

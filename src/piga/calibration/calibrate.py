@@ -9,11 +9,11 @@ from dataclasses import replace
 from piga.calibration.joint import (
     JointFit,
     check_items,
-    contributions,
+    effects,
     fit_alone,
     fit_jointly,
     given_servo_of,
-    with_own_sources,
+    with_all_sources,
 )
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.monte_carlo import monte_carlo_intervals
@@ -130,8 +130,8 @@ def _fitted(run: Run, request: Request, steps: Steps) -> JointFit:
 def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
     steps("adding up the budget")
-    fit = with_own_sources(fit, steps)
-    budget = budget_of(fit.coefficients, fit.covariance, list(contributions(fit, steps)))
+    fit = with_all_sources(fit, steps)
+    budget = budget_of(fit.coefficients, fit.covariance, list(effects(fit, stated=True)))
     candidates = Candidates(fit.without_scatter())
     doubts = left_out_terms(fit, candidates)
     for doubt in (doubt for doubt in doubts if doubt.change.any()):

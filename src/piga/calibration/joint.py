@@ -7,7 +7,7 @@ data of a run are not needed: its summary is enough.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,10 +40,11 @@ from piga.calibration.summary import (
     own_summary,
     prepare,
     run_name,
+    source_column,
     summarise,
     with_sources,
 )
-from piga.calibration.uncertainty import effects_of, stated_scatter, units_of
+from piga.calibration.uncertainty import stated_scatter
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import SILENT, Steps
@@ -142,36 +143,22 @@ class MergedRuns:
         plain = tuple(name for name in shared if name not in SERVO_TERMS)
         return plain + phaseless_columns((*shared, *self.known_servo(index)))
 
-    def known_servo(self, index: int, given: tuple[tuple[str, float], ...] = ()) -> dict[str, float]:
-        """K times the servo coefficients that a run gives and that are not estimated; ``given`` in place of its own."""
+    def known_servo(self, index: int) -> dict[str, float]:
+        """K times the servo coefficients that a run gives and that are not estimated."""
         summary = self.summaries[index]
         return {
             name: summary.inner_scale_factor * size
-            for name, size in given or summary.known_servo
+            for name, size in summary.known_servo
             if name not in self.shared[index]
         }
 
-    def parts(
-        self, state: ServoState | None, moved: Mapping[int, int] | None = None, segment: int | None = None
-    ) -> list[Reduction]:
-        """Summaries of all phase groups; with a state, combined at it.
-
-        Those that a source moves are in their moved form: ``moved`` gives its number in each run. ``segment``: the only moved
-        segment; default: all segments are moved.
-        """
+    def parts(self, state: ServoState | None) -> list[Reduction]:
+        """Summaries of all phase groups; with a state, combined at it."""
         parts: list[Reduction] = []
         for index, summary in enumerate(self.summaries):
-            chosen, known = summary.parts, self.known_servo(index)
-            if moved is not None and index in moved:
-                source = summary.sources[moved[index]]
-                chosen = source.parts
-                if segment is not None:
-                    group, part = source.segments[segment]
-                    chosen = (*summary.parts[:group], part, *summary.parts[group + 1 :])
-                known = self.known_servo(index, source.known_servo)
-            held = summary.choose(chosen, self.local, self.stored(index))
+            held = summary.choose(summary.parts, self.local, self.stored(index))
             if state is not None:
-                wanted, first = self.wanted(index), len(parts)
+                wanted, first, known = self.wanted(index), len(parts), self.known_servo(index)
                 held = [at_state(part, wanted, state, group, known) for group, part in enumerate(held, first)]
             parts += held
         return parts
@@ -226,23 +213,25 @@ class MergedRuns:
         """
         result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
-            first, wanted, known = (
-                self.first_group(index),
-                (*self.wanted(index), *beside),
-                self.known_servo(index),
-            )
-            held = summary.choose(
-                tuple(p.part for p in summary.positions), self.local, self.stored(index, beside)
-            )
-            for position, part in zip(summary.positions, held, strict=True):
-                group = first + position.group
-                chosen = part if state is None else at_state(part, wanted, state, group, known)
-                name = f"{summary.name}:{position.name}" if summary.name else position.name
-                result.append(replace(position, part=chosen, group=group, run=index, name=name))
+            held = self.positions(index, state, beside)
             if summary.holds_one_position and len(self.summaries) > 1:
-                blocks = result[-len(held) :]
-                whole, end = Reduction.stacked([block.part for block in blocks]), blocks[-1].end
-                result[-len(held) :] = [replace(blocks[0], part=whole, name=summary.name, end=end, block=False)]
+                whole = Reduction.stacked([block.part for block in held])
+                held = [replace(held[0], part=whole, name=summary.name, end=held[-1].end, block=False)]
+            result += held
+        return result
+
+    def positions(self, index: int, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
+        """The positions of one run, with the columns of the fit and those ``beside`` them."""
+        summary, first = self.summaries[index], self.first_group(index)
+        wanted, known = (*self.wanted(index), *beside), self.known_servo(index)
+        stored = self.stored(index, beside)
+        held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
+        result = []
+        for position, part in zip(summary.positions, held, strict=True):
+            group = first + position.group
+            chosen = part if state is None else at_state(part, wanted, state, group, known)
+            name = f"{summary.name}:{position.name}" if summary.name else position.name
+            result.append(replace(position, part=chosen, group=group, run=index, name=name))
         return result
 
     def interval_of(self, estimate: Estimate, state: ServoState | None) -> Interval:
@@ -530,7 +519,9 @@ def _scale_factor(fit: JointFit) -> float:
     return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
 
 
-def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSummary, dict[int, int]]]:
+def joint_sources(
+    summaries: Sequence[RunSummary], *, stated: bool = True
+) -> Iterator[tuple[SourceSummary, dict[int, int]]]:
     """Sources of all runs, each with its number in every run that it moves. A source that runs share moves all of them at once.
 
     Runs share a source if it has the same name and value, on the same kind of stand, with the same
@@ -540,6 +531,8 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSumma
     moved: dict[tuple[str, str | None, str | None, float, int], dict[int, int]] = {}
     for index, summary in enumerate(summaries):
         for number, source in enumerate(summary.sources):
+            if source.stated != stated:
+                continue
             of_servo = source.name.startswith(_SERVO_SOURCE)
             of_site = source.name in _COMMON_TO_ALL_STANDS or of_servo
             own = -1 if source.draw == "reference" else index
@@ -552,71 +545,62 @@ def joint_sources(summaries: Sequence[RunSummary]) -> Iterator[tuple[SourceSumma
         yield (replace(source, name=f"{source.name} ({names})") if names else source), numbers
 
 
-def contributions(fit: JointFit, steps: Steps = SILENT) -> Iterator[tuple[SourceSummary, Array]]:
-    """Changes of the coefficients (draws, n; file units) by one standard uncertainty of each source.
+def with_all_sources(fit: JointFit, steps: Steps = SILENT) -> JointFit:
+    """The fit with the sources of Type B of its runs with raw data; the others have those that are stated."""
+    summaries = list(fit.summaries)
+    for index, live in enumerate(fit.live):
+        if live:
+            design, values = fit.design_of(index, live)
+            plain, mode = design.with_servo(None), live.fit.mode
+            summaries[index] = with_sources(
+                summaries[index], plain, design, values, mode, units=True, steps=steps
+            )
+    return replace(fit, summaries=tuple(summaries))
 
-    Each source is reported to ``steps``, but for one run, whose sources were reported when they were reduced.
+
+def effects(fit: JointFit, *, stated: bool) -> Iterator[tuple[SourceSummary, Array]]:
+    """Changes of the coefficients (draws, n; file units) by each source, linear in the observations (JCGM 100, 5.1).
+
+    By one standard uncertainty of those that are stated, or by one unit of the others. A stated source with a new value in each
+    segment moves one segment at a time.
     """
-    base = np.array([c.value for c in fit.coefficients])
-
-    def change(numbers: Mapping[int, int], segment: int | None) -> Array:
-        moved = solve_parts(fit.layout, fit.parts(fit.servo, numbers, segment))
-        named, _ = fit.named(moved, moved.covariance)
-        return changes(named, base, np.array([c.value for c in named]))
-
-    for place, (source, numbers) in enumerate(joint_sources(fit.summaries)):
-        if fit.only is None:
-            steps.parts(place, f"adding up the budget: {source.name}")
-        draws = range(len(source.segments)) if source.segments else (None,)
-        moved_by = np.array([change(numbers, segment) for segment in draws])
-        if moved_by.any() or not source.name.startswith(_SERVO_SOURCE):
-            yield source, moved_by
+    inverse, scores = fit.estimate.inverse, [_scores(fit, index) for index in range(len(fit.summaries))]
+    for source, numbers in joint_sources(fit.summaries, stated=stated):
+        own = [scores[index][:, :, number] for index, number in numbers.items()]
+        (first, *_) = numbers
+        each = stated and source.draw == "segment" and not fit.summaries[first].positions[0].block
+        draws = own[0] if each else [np.sum([one.sum(axis=0) for one in own], axis=0)]
+        moved = np.array([fit.moved(inverse @ draw) for draw in draws])
+        if moved.any() or not source.name.startswith(_SERVO_SOURCE):
+            yield source, moved
 
 
-def with_own_sources(fit: JointFit, steps: Steps) -> JointFit:
-    """The fit of one run with the summaries of its sources; those of several runs have them."""
-    if fit.only is None:
-        return fit
-    live = fit.only.fit
-    summary = with_sources(fit.summaries[0], live.design.with_servo(None), live.mode, steps)
-    return replace(fit, summaries=(summary,))
+def _scores(fit: JointFit, index: int) -> Array:
+    """Products of the columns of the parameters and of each source of a run: (positions, parameters, sources)."""
+    names = tuple(source_column(number) for number in range(len(fit.summaries[index].sources)))
+    result = []
+    for position in fit.positions(index, fit.servo, (RATE, *names)):
+        rows = position.part.without((RATE,), position.variance).factor
+        m = rows.shape[1] - 1 - len(names)
+        result.append(fit.estimate.jacobians[position.group].T @ rows[:, :m].T @ rows[:, m:-1])
+    return np.array(result)
 
 
 def given_servo_of(fit: JointFit) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Given coefficients of the servo, and by source of Type B the same, moved by it."""
     given = dict(fit.summaries[0].known_servo)
-    moved = {
-        source.name: dict(fit.summaries[index].sources[number].known_servo)
-        for source, numbers in joint_sources(fit.summaries)
-        for index, number in list(numbers.items())[:1]
-    }
-    return given, moved
+    moved = {source.name: dict(source.known_servo) for source, _ in joint_sources(fit.summaries)}
+    return given, {name: servo for name, servo in moved.items() if servo}
 
 
-def sources_of_stand(fit: JointFit) -> tuple[StandSource, ...]:
-    """The sources of the stands of all runs, and the change of each coefficient by one unit of those not stated.
+def sources_of_stand(fit: JointFit, more: Sequence[StandSource] = ()) -> tuple[StandSource, ...]:
+    """The sources of the stands of all runs, and ``more``, and the change of each coefficient by one unit of those not stated.
 
     The summary of a run without its raw data has no effects.
     """
-    units = [[] if live is None else units_of(live.fit.design) for live in fit.live]
-    moved = [
-        effects_of(fit.record(index, live), own) if live else []
-        for index, (live, own) in enumerate(zip(fit.live, units, strict=True))
-    ]
-    shared = joint_sources(
-        [
-            replace(
-                summary, sources=tuple(SourceSummary(s.name, s.value, s.unit, (), draw=s.draw) for s in own)
-            )
-            for summary, own in zip(fit.summaries, units, strict=True)
-        ]
-    )
-    effects = {
-        source.name: np.sum([moved[index][number] for index, number in numbers.items()], axis=0)
-        for source, numbers in shared
-    }
-    listed = merged_sources(summary.stand_sources for summary in fit.summaries)
-    return with_effects(listed, effects, [c.key for c in fit.coefficients])
+    listed = (*merged_sources(summary.stand_sources for summary in fit.summaries), *more)
+    moved = {source.name: change[0] for source, change in effects(fit, stated=False)}
+    return with_effects(listed, moved, [c.key for c in fit.coefficients])
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

@@ -107,7 +107,7 @@ def make_result(
         condition=fit.examination.condition,
         notes=scatter_in_words(scatter, direct=direct),
         remarks=remarks_in_words(coefficients, covariance),
-        sources=(*sources_of_stand(fit), *(doubt.listed for doubt in doubts if doubt.listed)),
+        sources=sources_of_stand(fit, [doubt.listed for doubt in doubts if doubt.listed]),
         scale_factor_tolerance=max((one.run.model.tolerance for one in live), default=0.01),
         gravity="; ".join(dict.fromkeys(filter(None, (gravity_in_words(one.run) for one in live)))),
         budget=budget,

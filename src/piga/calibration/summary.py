@@ -25,9 +25,9 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import merged_groups
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.sources import listed, sources
-from piga.calibration.uncertainty import stated_scatter
-from piga.calibration.weights import RATE, Noise, Positions, of_segments, reduce_positions, reduce_segments
+from piga.calibration.sources import Source, listed, sources
+from piga.calibration.uncertainty import stated_scatter, units_of
+from piga.calibration.weights import RATE, Extra, Noise, reduce_positions, residual_increments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results
 from piga.progress import SILENT, Steps
@@ -55,23 +55,27 @@ _STEADY = 1e-3
 
 @dataclass(frozen=True)
 class SourceSummary:
-    """One source of Type B: the summaries of the record moved by its standard uncertainty.
+    """One source of Type B of a run. Its column in the triangles of the positions is named by its number.
 
-    A source with a new value in each segment has no ``parts``. For each segment, ``segments`` then contains the changed phase
-    group and its summary when only that segment is moved. ``in_fit``: True if the weights include the source. ``draw``
-    as in the run file.
+    The column is the change of the observations, less that of the model, by one standard uncertainty of the source. ``in_fit``:
+    True if the weights include the source. ``draw`` as in the run file. ``stated``: False for one unit of a source that nobody
+    stated.
     """
 
     name: str
     value: Number
     unit: str
-    parts: tuple[Reduction, ...]
     distribution: str = "normal"
     degrees_of_freedom: Level = math.inf
     known_servo: tuple[tuple[str, Number], ...] = ()
     draw: Draw = "reference"
-    segments: tuple[tuple[int, Reduction], ...] = ()
     in_fit: bool = False
+    stated: bool = True
+
+
+def source_column(number: int) -> str:
+    """Name of the column of a source."""
+    return f"source {number}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,9 +95,10 @@ class RunSummary(Result):
     labels:
         Segment of each phase group (None: one phase for the run).
     positions:
-        Triangle ``[columns | rate | y]`` of each position, with its phase group, the variance of its rate, and its times.
+        Triangle ``[columns | rate | sources | y]`` of each position, with its phase group, the variance of its rate, and its
+        times.
     sources:
-        Sources of Type B, each with its moved summaries.
+        Sources of Type B.
     stand, reference_id:
         Kind of the stand and name of the reference. Runs that agree in both share the errors of the reference.
     undetermined:
@@ -174,7 +179,9 @@ class RunSummary(Result):
             If the request does not fit the record.
         """
         live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
-        return summarise(live, _all_columns(run, live.request))
+        fit, columns = live.fit, _all_columns(run, live.request)
+        design = Design(live.run, replace(live.request, terms=columns, per_run=()), fit.design.scale_factor)
+        return with_sources(summarise(live, columns), design, fit.design, fit.solution.values, fit.mode)
 
     def to_json(self, path: str | Path) -> None:
         """Write the summary (schema ``piga.run-summary/2``): exact.
@@ -369,40 +376,64 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     design = Design(run, wish, scale_factor or fit.design.scale_factor)
     positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
     summary = bare_summary(live.name, live.request, design, fit.noise, positions, live.undetermined)
-    return replace(with_sources(summary, design, fit.mode), **_described(fit))
+    return replace(summary, **_described(fit))
 
 
-def with_sources(summary: RunSummary, design: Design, mode: str, steps: Steps = SILENT) -> RunSummary:
-    """The summary of a record with the sources of Type B, each with its moved triangles. ``steps`` hears of each source.
+def with_sources(
+    summary: RunSummary,
+    design: Design,
+    fitted: Design,
+    values: Array,
+    mode: str,
+    *,
+    units: bool = False,
+    steps: Steps = SILENT,
+) -> RunSummary:
+    """The summary of a record with a column for each source of Type B.
 
-    Moved records are not kept, because each is as large as the record.
+    Of a long record the means of neighbouring samples are moved.
+
+    Parameters
+    ----------
+    summary, design, mode:
+        The summary, its columns (those of the servo without a phase), and the mode of the weights.
+    fitted, values:
+        A model of the record, and its column coefficients (segments, m).
+    units:
+        With one unit of each source that nobody stated.
+    steps:
+        Hears of each source.
     """
-    noise, groups, segments = summary.noise, design.groups, Positions.of(design.run)
-    alone = [position.part.without((RATE,), position.variance) for position in summary.positions]
-    plain, moved_by = of_segments(alone, segments), []
-    for number, source in enumerate(sources(design.run)):
+    run, given = design.means.run, list(sources(design.means.run))
+    unstated = units_of(run) if units else []
+    plain = Design(run, fitted.request, fitted.scale_factor, fitted.servo)
+    known, changes = residual_increments(plain, values)[0], []
+    for number, source in enumerate((*given, *unstated)):
         steps.parts(number, f"adding up the budget: {source.name}")
-        moved = design.of(source.moved)
-        rows, drawn = reduce_segments(moved, mode, noise), source.draw == "segment"
-        own = []
-        for s, group in enumerate(groups) if drawn else ():
-            parts = [rows[k] if k == s else plain[k] for k, other in enumerate(groups) if other == group]
-            own.append((group, Reduction.stacked(parts)))
-        moved_by.append(
-            SourceSummary(
-                source.name,
-                source.value,
-                source.unit,
-                () if drawn else tuple(merged_groups(rows, groups)),
-                source.distribution,
-                source.degrees_of_freedom,
-                tuple(given_servo(moved.run).items()),
-                source.draw,
-                tuple(own),
-                in_fit=drawn and bool(noise.stated),
-            )
-        )
-    return replace(summary, sources=tuple(moved_by), stand_sources=listed(design.run))
+        change = residual_increments(plain.of(source.moved), values)[0]
+        change -= known
+        changes.append(change)
+    names = tuple(source_column(number) for number in range(len(changes)))
+    extra = Extra(names, lambda block: np.array([change[block.start : block.stop] for change in changes]))
+    parts = reduce_positions(design, mode, summary.noise, extra=extra if changes else None)
+    moved_by = [_source_summary(source, summary.noise) for source in given]
+    moved_by += [replace(_source_summary(source, summary.noise), stated=False) for source in unstated]
+    positions = repetitions(design, summary.noise, parts)
+    return replace(summary, positions=positions, sources=tuple(moved_by), stand_sources=listed(design.run))
+
+
+def _source_summary(source: Source, noise: Noise) -> SourceSummary:
+    servo = given_servo(source.moved) if "servo" in source.fields else {}
+    return SourceSummary(
+        source.name,
+        source.value,
+        source.unit,
+        source.distribution,
+        source.degrees_of_freedom,
+        tuple(servo.items()),
+        source.draw,
+        in_fit=source.draw == "segment" and bool(noise.stated),
+    )
 
 
 def _described(fit: Fit) -> dict[str, Any]:
@@ -476,25 +507,23 @@ def _damages(summary: RunSummary) -> Iterator[str]:
     groups = len(summary.labels)
     parts = tuple(position.part for position in summary.positions)
     held = {position.group for position in summary.positions}
-    if not _whole(parts, len(parts)) or held != set(range(groups)):
+    if not _whole(parts) or held != set(range(groups)):
         yield "summaries are"
-    for source in summary.sources:
-        drawn = source.draw == "segment"
-        own = [group for group, _ in source.segments]
-        reductions = tuple(part for _, part in source.segments)
-        if not _whole(source.parts, 0 if drawn else groups) or not _whole(reductions, len(own)):
-            yield "summaries are"
-        if bool(own) != drawn or any(not 0 <= group < groups for group in own):
-            yield "sources are"
+    columns = {name for part in parts for name in part.names}
+    if not {source_column(number) for number in range(len(summary.sources))} <= columns:
+        yield "sources are"
 
 
-def _whole(parts: tuple[Reduction, ...], groups: int) -> bool:
-    """True if there are ``groups`` reductions, each with known columns and finite factors of the right size."""
+def _whole(parts: tuple[Reduction, ...]) -> bool:
+    """True if all reductions have known columns, and finite factors of the right size."""
     for part in parts:
         size = len(part.names) + 1
         fits = part.factor.shape == (size, size) and part.count >= 0
-        known = all(name in ("p", "q", RATE, *PHASELESS) or check_name(name) for name in part.names)
+        known = all(
+            name in ("p", "q", RATE, *PHASELESS) or name.startswith("source ") or check_name(name)
+            for name in part.names
+        )
         finite = np.isfinite(part.factor).all() and not np.tril(part.factor, -1).any()
         if not (fits and known and finite):
             return False
-    return len(parts) == groups
+    return True

@@ -14,17 +14,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from piga.calibration.model.design import Design
-from piga.calibration.sources import Source, across_squared, sources, with_effects, with_units
-from piga.calibration.weights import Extra, reduce_positions, residual_increments
-from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient, StandSource
+from piga.calibration.sources import Source, across_squared, sources, with_units
+from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
 from piga.records.calibration.coefficient import welch_satterthwaite
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array
 
 if TYPE_CHECKING:
-    from piga.calibration.fit import FittedRecord
     from piga.calibration.summary import SourceSummary
 
 
@@ -88,17 +85,11 @@ def share_of_type_a(type_a: Array, covariance: Array) -> Array:
     return share
 
 
-def units_of(design: Design) -> list[Source]:
-    """One unit of each source that nobody stated; of a long record the means of neighbouring samples are moved."""
-    return [source for source in sources(with_units(design.means.run)) if "servo" not in source.fields]
+def units_of(run: Run) -> list[Source]:
+    """One unit of each source that nobody stated, and 1 ug/g^3 of a servo, averaged over turns of the output.
 
-
-def unstated_servo(record: FittedRecord, keys: Sequence[str]) -> StandSource:
-    """A servo that nobody stated, and that the record does not tell: 1 ug/g^3 of it, averaged over turns of the output.
-
-    It lowers the output, as a reference that is as much too large.
+    Such a servo lowers the output, as a reference that is as much too large.
     """
-    run = record.design.means.run
     unit = 1e-6 * si_factor("servo")
 
     def force(part: slice) -> Array:
@@ -106,26 +97,8 @@ def unstated_servo(record: FittedRecord, keys: Sequence[str]) -> StandSource:
         change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
         return change
 
-    (effect,) = effects_of(record, [Source(run, "servo", 1.0, "ug/g^3", force=force)])
-    return with_effects((StandSource("servo", "unstated", "ug/g^3"),), {"servo": effect}, keys)[0]
-
-
-def effects_of(record: FittedRecord, units: Sequence[Source]) -> list[Array]:
-    """Change of each coefficient (n,; file units) by each of the sources, which move the means of the record.
-
-    The estimate is linear in the residual increments of the moved record under the fit (first order).
-    """
-    if not units:
-        return []
-    means, values = record.design.means, record.values
-    plain = Design(means.run, means.request, means.scale_factor, means.servo)
-    known = residual_increments(plain, values)[0]
-    moved = [residual_increments(plain.of(source.moved), values)[0] - known for source in units]
-    extra = Extra(
-        tuple(s.name for s in units), lambda block: np.array([d[block.start : block.stop] for d in moved])
-    )
-    parts = reduce_positions(record.design, record.mode, record.noise, extra=extra)
-    return [record.moved(change) for change in record.effects(parts).T]
+    unstated = [source for source in sources(with_units(run)) if "servo" not in source.fields]
+    return [*unstated, Source(run, "servo", 1.0, "ug/g^3", force=force)]
 
 
 def budget_of(

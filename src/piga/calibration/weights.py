@@ -266,12 +266,6 @@ def of_segments(parts: Sequence[Reduction], positions: Positions) -> list[Reduct
     ]
 
 
-def reduce_segments(design: Design, mode: str, noise: Noise) -> list[Reduction]:
-    """One triangle ``[model | y]`` per segment, with the weights of all levels."""
-    positions = Positions.of(design.run)
-    return of_segments(with_scatter(reduce_positions(design, mode, noise, positions), noise), positions)
-
-
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
     d, h = stored(np.zeros(design.run.size)), stored(np.zeros(design.run.size))

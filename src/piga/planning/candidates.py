@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.fit import repetitions
 from piga.calibration.intervals import LeverageError
-from piga.calibration.joint import JointFit, Wish, contributions, merge_runs
+from piga.calibration.joint import JointFit, Wish, effects, merge_runs
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.solution import asked_order, layout_of
 from piga.calibration.servo import reduce_settled, with_mean_servo
@@ -372,7 +372,9 @@ def predict(
     )
     squares = np.zeros(len(coefficients))
     if type_b:
-        for _, change in contributions(replace(fit, summaries=(with_sources(summary, raw, mode),))):
+        values = np.tile(fit.column_values(0), (len(run.labels) // len(summary.labels), 1))
+        moved = with_sources(summary, raw, design, values, mode)
+        for _, change in effects(replace(fit, summaries=(moved,)), stated=True):
             squares += np.sum(change**2, axis=0)
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 

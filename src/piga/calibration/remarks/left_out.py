@@ -24,7 +24,7 @@ import numpy as np
 from piga.calibration.joint import JointFit
 from piga.calibration.remarks.missing_terms import CUBIC, Candidates, tested, with_term
 from piga.calibration.sources import across_squared
-from piga.calibration.uncertainty import budget_row, unstated_servo
+from piga.calibration.uncertainty import budget_row
 from piga.records.arrays import spans
 from piga.records.calibration import BudgetEntry, Coefficient, StandSource
 from piga.records.calibration.coefficient import changes, coverage_factor
@@ -178,7 +178,7 @@ def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     if name not in candidates.order or (name == "k3" and square is None):
         if fit.only is None:
             return ()
-        listed = unstated_servo(fit.record(0, fit.only), [c.key for c in coefficients])
+        listed = StandSource("servo", "unstated", "ug/g^3")
         return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),)
     pieces, rows = candidates.pieces
     test = tested(pieces, candidates.order, (name,), rows)
