@@ -191,7 +191,7 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
     for mine, other in zip(live.budget, read.budget, strict=True):
         assert mine.source == other.source
         assert list(mine.contributions.values()) == pytest.approx(
-            list(other.contributions.values()), rel=1e-6, abs=1e-12
+            list(other.contributions.values()), rel=1e-6, abs=1e-10
         )
     document = msgspec.json.decode((tmp_path / "second.json").read_bytes())
     source = next(s for s in document["sources"] if s["name"] == ROW)

@@ -200,14 +200,6 @@ def _scattered(fit: Fit) -> Array:
     return increments
 
 
-def without_scatter(fit: Fit) -> Fit:
-    """The fit with the weights of white noise, random walk and stated scatter only; tests of the model use it."""
-    if fit.noise.scatter == 0.0:
-        return fit
-    quiet = replace(fit, noise=replace(fit.noise, scatter=0.0))
-    return replace(quiet, solution=solve(fit.design, quiet.summaries))
-
-
 def _given_noise(request: Request) -> Noise | None:
     if request.angle_rms is None or request.angle_random_walk is None:
         return None

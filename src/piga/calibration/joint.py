@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit import FittedRecord, fit_run, without_scatter
+from piga.calibration.fit import FittedRecord, fit_run
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import (
@@ -319,7 +319,7 @@ class JointFit(MergedRuns):
         if not any(summary.noise.scatter for summary in self.summaries):
             return self
         summaries = tuple(summary.without_scatter() for summary in self.summaries)
-        live = tuple(one and replace(one, fit=without_scatter(one.fit)) for one in self.live)
+        live = tuple(one and one.without_scatter() for one in self.live)
         quiet = replace(self, summaries=summaries, live=live)
         state, examination, estimate = quiet.solved()
         coefficients, covariance = quiet.named(estimate, estimate.covariance)

@@ -276,6 +276,10 @@ class LiveRun:
         """The record as used."""
         return self.fit.design.run
 
+    def without_scatter(self) -> LiveRun:
+        """The run with the weights of white noise, random walk and stated scatter only."""
+        return replace(self, fit=replace(self.fit, noise=replace(self.fit.noise, scatter=0.0)))
+
 
 def run_name(run: Run, index: int) -> str:
     """Stem of the run file; if it is only 'run', the name of its folder; or else a number."""

@@ -1,8 +1,8 @@
 """Uncertainty budget: one row per source, and the effect of the sources of Type B on the coefficients.
 
-Type B: first order (JCGM 100, 5.1). Each source is moved by its standard uncertainty in the record. The linear estimate
-is repeated with the same weights. The change is the contribution. A source that takes a new value in each
-segment is moved in one segment at a time, which gives one change per segment.
+Type B: first order (JCGM 100, 5.1). Each source moves the record by its standard uncertainty. The change of the observations,
+less that of the model, is a column of the reduction; what the fit makes of it is the contribution. A source that takes a new
+value in each segment moves one segment at a time, which gives one change per segment.
 """
 
 from __future__ import annotations
