@@ -14,7 +14,7 @@ import piga
 from piga.calibration.monte_carlo import Contribution, source_draws
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import Noise
-from piga.errors import CalibrationError, RunFileError
+from piga.errors import RunFileError
 from piga.planning.plan import plan_test
 from piga.records.calibration import Amount
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable
@@ -193,12 +193,6 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
         assert list(mine.contributions.values()) == pytest.approx(
             list(other.contributions.values()), rel=1e-6, abs=1e-10
         )
-    document = msgspec.json.decode((tmp_path / "second.json").read_bytes())
-    source = next(s for s in document["sources"] if s["name"] == ROW)
-    source["segments"][0][0] = 7
-    (tmp_path / "second.json").write_bytes(msgspec.json.encode(document))
-    with pytest.raises(CalibrationError, match="its sources are damaged"):
-        RunSummary.from_json(tmp_path / "second.json")
 
 
 # --- other stands, refusals
