@@ -98,13 +98,6 @@ def test_wrong_use_is_exit_2_with_one_message(
     assert said.out == ""
 
 
-def test_a_process_ends_with_2_and_without_a_traceback(tmp_path: Path) -> None:
-    done = piga("calibrate", "none.toml", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("piga: none.toml: cannot be read")
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.long
 def test_joint_calibration_of_the_shipped_examples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two simulated stands, calibrated together and again from a summary of one of them."""

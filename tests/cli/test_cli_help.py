@@ -1,4 +1,4 @@
-"""Help of every command: it comes without anything heavy being loaded; ``python -m piga`` is the same program."""
+"""Help of every command: it comes without anything heavy being loaded."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 
-import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -62,12 +61,3 @@ def test_help_of_every_command_loads_nothing_heavy() -> None:
     said = run("-c", EACH.replace("{commands}", repr(every)))
     assert said.returncode == 0, said.stderr
     assert said.stdout.count("Usage: ") == len(every)
-
-
-@pytest.mark.parametrize(("arguments", "code", "words"), [(["--version"], 0, "piga "), (["chekc"], 2, "chekc")])
-def test_the_module_runs_as_the_program_does(arguments: list[str], code: int, words: str) -> None:
-    as_module = run("-m", "piga", *arguments)
-    as_program = run("-c", "from piga.cli.main import main; main()", *arguments)
-    assert as_module.returncode == as_program.returncode == code
-    assert words in as_module.stdout + as_module.stderr
-    assert as_module.stdout == as_program.stdout

@@ -45,20 +45,6 @@ def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-def test_the_demo_says_something_before_it_imports(tmp_path: Path) -> None:
-    code = """
-import sys
-import piga.cli.main
-import piga.cli.calibrate as module
-module.note = lambda text: sys.exit(f"{text}; {sorted({'numpy', 'numba', 'pyarrow'} & set(sys.modules))}")
-module.demo(module.Path("d"))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], check=False, capture_output=True, text=True, env=ENVIRONMENT, cwd=tmp_path
-    )
-    assert done.stderr == "demo of the shipped record; the first time takes up to a minute; []\n"
-
-
 @pytest.mark.long
 def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with progress("calibrating"):

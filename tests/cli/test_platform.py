@@ -62,16 +62,6 @@ def test_a_command_leaves_its_files_and_a_page(capsys, scenario, tmp_path, comma
     assert "<svg" in page
 
 
-def test_identify_takes_the_folder_of_simulate(capsys, scenario, tmp_path):
-    assert _run(capsys, "simulate", scenario, "--out", tmp_path / "sim")[0] == 0
-    documents = []
-    for given in (scenario, tmp_path / "sim"):
-        code, streams = _run(capsys, "identify", given, "--out", tmp_path / f"of-{given.name}", "--json")
-        assert code == 0
-        documents.append(json.loads(streams.out))
-    assert documents[0] == documents[1]
-
-
 def test_budget_is_added_on_request(capsys, scenario, tmp_path):
     code, streams = _run(capsys, "compare", scenario, "--out", tmp_path, "--json", "--budget")
     document = json.loads(streams.out)
@@ -95,6 +85,7 @@ def test_gyro_accelerometers_get_their_own_page(capsys, scenario, tmp_path):
     ("arguments", "message"),
     [
         (("compare", "absent.toml"), "absent.toml: cannot be read"),
+        (("identify", ".", "--out", "x"), "is a folder"),
         (("align", "sway.toml", "--out", "x"), "needs a base at rest"),
         (("identify", "short.toml", "--out", "x"), "two turns of the cases"),
         (("simulate", "short.toml", "--out", "x", "--every", "2"), "--every is gone"),

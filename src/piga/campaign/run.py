@@ -20,7 +20,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -49,7 +49,8 @@ _ONE_THREAD = dict.fromkeys(
 )
 """Variables that give a worker of this machine one thread, in kernels and in linear algebra."""
 _ADDRESS = re.compile(r"(?:dask|tls|tcp)://(?P<host>\[[0-9a-fA-F:.]+\]|[^:/\[\]\s]+):(?P<port>\d{1,5})/?")
-_AGAIN = "then give the same command: parts that are written stay"
+_STAY = "parts that are written stay"
+_AGAIN = f"then give the same command: {_STAY}"
 
 
 @dataclass
@@ -234,6 +235,9 @@ def is_local(host: str) -> bool:
 def _compute(
     client: Any, campaign: Campaign, missing: list[int], report: RunReport, progress: Progress | None
 ) -> None:
+    """Compute the shards. One whose worker died again and again is set aside; other errors end the run."""
+    from distributed.scheduler import KilledWorker
+
     total = campaign.manifest.records
     records = total - sum(len(campaign.records_of(shard)) for shard in missing)
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -247,32 +251,26 @@ def _compute(
     while waiting:
         failed = sum(one.failed for one in report.reports)
         what = f"{report.done} of {report.shards} shards" + (f", {failed} records failed" if failed else "")
-        report_progress(progress, records, total, what, f"go on with the same command: {_AGAIN[5:]}")
-        with suppress(queue.Empty):
+        report_progress(progress, records, total, what, f"go on with the same command: {_STAY}")
+        try:
             future = finished.get(timeout=_POLL)
-            if future.status == "cancelled":
-                raise _gone(client)
-            shard = waiting.pop(future)
-            _take(future, campaign, shard, report)
-            records += len(campaign.records_of(shard))
-            seen = time.monotonic()
+        except queue.Empty:
+            seen = _look_after(client, seen)
             continue
-        seen = _look_after(client, seen)
-
-
-def _take(future: Any, campaign: Campaign, shard: int, report: RunReport) -> None:
-    """The report of a shard. A shard whose worker died again and again is set aside; other errors end the run."""
-    from distributed.scheduler import KilledWorker
-
-    try:
-        report.reports.append(future.result())
-        report.done += 1
-    except (OSError, TimeoutError, CancelledError):
-        raise _gone(future.client) from None
-    except KilledWorker as error:
+        if future.status == "cancelled":
+            raise _gone(client)
+        shard = waiting.pop(future)
         numbers = campaign.records_of(shard)
-        attempts = error.allowed_failures + 1
-        report.set_aside[shard] = f"records {numbers[0]} to {numbers[-1]}: its worker died {attempts} times"
+        try:
+            report.reports.append(future.result())
+            report.done += 1
+        except (OSError, TimeoutError, CancelledError):
+            raise _gone(client) from None
+        except KilledWorker as error:
+            died = f"its worker died {error.allowed_failures + 1} times"
+            report.set_aside[shard] = f"records {numbers[0]} to {numbers[-1]}: {died}"
+        records += len(numbers)
+        seen = time.monotonic()
 
 
 def _look_after(client: Any, seen: float) -> float:

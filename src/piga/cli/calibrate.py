@@ -41,24 +41,16 @@ RunFilesArgument = Annotated[
 
 def calibrate(
     runs: RunFilesArgument,
-    out: Annotated[
-        Path | None, option("DIR", "Folder for the results [default: RUN-calibration or joint-calibration].")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for the results [default: RUN-calibration].")] = None,
     terms: TermsOption = None,
     method: MethodOption = None,
     phases: PhasesOption = None,
     phase_source: PhaseSourceOption = None,
     per_run: Annotated[
-        str | None, option("A,B,...", "Terms with a value of their own in each run [default: k0]; '' for none.")
+        str | None, option("A,B,...", "Terms of each run alone [default: k0]; '' for none.")
     ] = None,
-    compare: Annotated[
-        str | None,
-        option("'A,B; A,B,C; ...'", "Sets of terms to compare. They replace [model] compare of the run file."),
-    ] = None,
-    summary: Annotated[
-        bool,
-        flag("--summary", "Also write a summary of each run. It can be calibrated later without the data."),
-    ] = False,
+    compare: Annotated[str | None, option("'A,B; C'", "Sets of terms to compare.")] = None,
+    summary: Annotated[bool, flag("--summary", "Also write summaries, to calibrate without the data.")] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -58,7 +58,7 @@ def issue(
     data: Annotated[Path, option("CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")],
     out: Annotated[Path, option("DIR", "Folder for the certificate.")],
     issued: Annotated[
-        str | None, option("YYYY-MM-DD | today", "Date of issue [default: that of the file, or today].")
+        str | None, option("YYYY-MM-DD|today", "Date of issue [default: that of the file, or today].")
     ] = None,
     dcc: Annotated[bool, flag("--dcc", "Also write certificate.xml (DCC 3.3.0).")] = False,
     key: Annotated[Path | None, option("PEM", "Private key that signs the XML.")] = None,

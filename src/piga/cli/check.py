@@ -39,17 +39,13 @@ def init(
     out: Annotated[Path | None, option("RUN.toml", "The run file [default: LOG.toml].")] = None,
     settings: Annotated[
         list[str] | None,
-        option(
-            "KEY=VALUE",
-            "A value of the run file, e.g. instrument.scale_factor='0.8884 rad/s/g'. May be repeated.",
-            "--set",
-        ),
+        option("KEY=VALUE", "A value of the run file, e.g. data.time.unit=ms. May be repeated.", "--set"),
     ] = None,
     columns: Annotated[
         list[str] | None,
         option(
             "NAME=KIND",
-            "What a column holds: time, counts, angle, 'force x [g]', stand-speed, ... May be repeated.",
+            "What a column holds: time, counts, 'angle [deg]', 'force x [g]', ... May be repeated.",
             "--column",
         ),
     ] = None,
@@ -218,14 +214,10 @@ def check(
     run: Annotated[Path | None, argument("RUN.toml", "Run file of the recorded test.")] = None,
     out: Annotated[Path | None, option("DIR", "Write check.html with a picture of the record.")] = None,
     fix_suggestions: Annotated[
-        bool, flag("--fix-suggestions", "Print lines for the run file that settle the open questions.")
+        bool, flag("--fix-suggestions", "Print lines that settle what is open.")
     ] = False,
-    terms: Annotated[
-        bool, flag("--terms", "Also say which terms the record determines. This takes as long as a fit.")
-    ] = False,
-    explain: Annotated[
-        str | None, option("KEY", "Say what a key of any TOML file means, e.g. data.time.stamp.")
-    ] = None,
+    terms: Annotated[bool, flag("--terms", "Also say which terms the record determines (slow).")] = False,
+    explain: Annotated[str | None, option("KEY", "Say what a key of any TOML file means.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperGroup
 
 from piga.errors import ArgumentError, PigaError
 from piga.output import results
@@ -81,18 +81,11 @@ def _write_out(text: str, *, needed: bool) -> None:
             raise SystemExit(_LOST) from None
 
 
-def as_json(document: Any) -> str:
-    """Indented JSON. If stdout is not UTF-8, other characters are escaped, so that none is replaced."""
-    plain = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") not in (
-        "utf8",
-        "utf8sig",
-    )
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=plain)
-
-
 def print_json(document: Any) -> None:
-    """Write one JSON document on stdout and nothing else."""
-    _write_out(as_json(document) + "\n", needed=True)
+    """Write one JSON document on stdout and nothing else. If stdout is not UTF-8, other characters are escaped."""
+    encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
+    plain = encoding not in ("utf8", "utf8sig")
+    _write_out(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=plain) + "\n", needed=True)
 
 
 def counted(count: int, noun: str) -> str:
@@ -420,22 +413,23 @@ class PlainCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """A group whose ``--help`` option does not load pydantic.
+    """A group whose own options do not load pydantic.
 
-    Typer converts every value of the wrong type with pydantic, whose import takes 0.1 s. A missing flag is None, not a
-    bool, so the ``--help`` of the group, when not given, caused this import. Here a missing ``--help`` is False.
+    Typer converts every value of the wrong type with pydantic, whose import takes 0.1 s. A flag that is not given is None, not
+    a bool, so ``--help`` caused this import. Here it is False.
     """
 
     def get_short_help_str(self, limit: int = 0) -> str:
         """The first sentence for the list of a group, whole."""
         return super().get_short_help_str(max(limit, _LONGEST))
 
-    def get_help_option(self, ctx: Any) -> TyperOption | None:
-        """The option ``--help``. It is False if not given."""
-        option = super().get_help_option(ctx)
-        if option is not None:
-            option.default = False
-        return option
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The options. Flags are False if they are not given."""
+        params = super().get_params(ctx)
+        for param in params:
+            if getattr(param, "is_flag", False) and param.default is None:
+                param.default = False
+        return params
 
 
 class App(typer.Typer):
@@ -447,9 +441,8 @@ class App(typer.Typer):
             help=words,
             cls=cls,
             no_args_is_help=True,
-            add_completion=False,
             rich_markup_mode=None,
-            **more,
+            **({"add_completion": False} | more),
         )
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:

@@ -44,35 +44,23 @@ def compensate(
             show_default=False,
         ),
     ],
-    calibration: Annotated[
-        list[Path] | None, option("CALIBRATION.json", "Calibration record; one per run.", show_default=False)
-    ] = None,
+    calibration: Annotated[list[Path] | None, option("CALIBRATION.json", "Calibration; one per run.")] = None,
     out: Annotated[Path, option("FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
         typer.Option(help="Default: what the phase of the calibration needs."),
     ] = None,
     phase: Annotated[str | None, option("ANGLE", "Phase of the output zero, e.g. '0.48 rad'.")] = None,
-    identify_phase: Annotated[
-        str | None, option("TIME", "Estimate the phase from the first seconds, at rest, e.g. '60 s'.")
-    ] = None,
+    identify_phase: Annotated[str | None, option("TIME", "Phase from this time at rest, e.g. '60 s'.")] = None,
     rate: Annotated[str | None, option("RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
-    max_age: Annotated[
-        float | None, option("DAYS", "Flag all rows if the calibration is older than this.")
-    ] = None,
-    other_serial: Annotated[
-        bool, flag("--other-serial", "Accept a calibration of another serial number.")
-    ] = False,
-    as_run: Annotated[
-        str | None, option("NAME", "Take a joint calibration as this run sees it.", show_default=False)
-    ] = None,
+    max_age: Annotated[float | None, option("DAYS", "Flag all rows if the calibration is older.")] = None,
+    other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
+    as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
     force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
     arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
-    report: Annotated[
-        Path | None, option("FILE.html", "Also write a page with figures.", show_default=False)
-    ] = None,
+    report: Annotated[Path | None, option("FILE.html", "Also write a page with figures.")] = None,
     json: Annotated[bool, flag("--json", "Print a summary as JSON.")] = False,
 ) -> None:
     """Compensate runs or live data: specific force and velocity.

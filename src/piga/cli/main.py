@@ -21,7 +21,7 @@ from piga.cli.check import check, convert, init, noise
 from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
 from piga.cli.compensate import compensate
 from piga.cli.simulate import plan, reproduce, simulate
-from piga.cli.words import completion, examples, methods, terms
+from piga.cli.words import examples, methods, terms
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 RARELY = 100_000
 """New objects between two searches for garbage: most objects of a command are made at its start and stay."""
-_COMPLETE = "_PIGA_COMPLETE"
-"""Environment variable by which a shell asks for completions."""
 _LONGEST = 4096
 """Most characters of an argument: those of a path."""
 STOPPED = 130
@@ -52,6 +50,7 @@ app = App(
     "piga",
     "Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
     pretty_exceptions_enable=False,
+    add_completion=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -107,7 +106,6 @@ for command in (
     ui,
     terms,
     methods,
-    completion,
 ):
     app.command()(command)
 app.add_typer(platform.app)
@@ -158,10 +156,6 @@ def stopped_words(stop: KeyboardInterrupt) -> str:
 def guarded(action: Callable[[], object]) -> None:
     """Do the work of a command; errors end the process with an exit code."""
     prepare_output()
-    if _COMPLETE in os.environ:
-        from typer._completion_classes import completion_init
-
-        completion_init()
     try:
         action()
     except PigaError as error:

@@ -28,24 +28,7 @@ if TYPE_CHECKING:
 
 app = App("platform", "Analyse a space-stable platform with case rotation.")
 
-SCENARIO = "simulated.toml"
-"""Name of the scenario in the folder of ``simulate``."""
-
-
-def _scenario_of(path: Path) -> Path:
-    """The scenario file; that of ``simulate`` where its folder is named."""
-    return path / SCENARIO if (path / SCENARIO).is_file() else path
-
-
-Scenario = Annotated[
-    Path,
-    argument(
-        "SCENARIO.toml",
-        "Scenario file, or the folder that simulate wrote.",
-        show_default=False,
-        callback=_scenario_of,
-    ),
-]
+Scenario = Annotated[Path, argument("SCENARIO.toml", "Scenario file.", show_default=False)]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results and report.html.")]
 _Json = Annotated[bool, flag("--json", "Print the result as JSON.")]
 
@@ -60,12 +43,12 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
     from piga.platform.simulate import readouts_table, truth_table
     from piga.reports.platform.page import simulation_page
 
-    files = ("readouts.parquet", "truth.parquet", SCENARIO, "report.html")
+    files = ("readouts.parquet", "truth.parquet", "simulated.toml", "report.html")
     with _results(out, "simulate", scenario, force, json, *files) as to:
         run = _simulated(load_scenario(scenario))
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(table, to / name)
-        (to / SCENARIO).write_bytes(scenario.read_bytes())
+        (to / "simulated.toml").write_bytes(scenario.read_bytes())
         rows, eta = len(run.readouts.times), run.truth.eta
         document = {
             "rows": rows,

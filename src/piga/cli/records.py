@@ -176,13 +176,9 @@ def add(
     store: StoreOption,
     operator: OperatorOption,
     reason: ReasonOption,
-    results: Annotated[
-        Path | None, option("DIR", "Keep the results of 'piga calibrate' in this folder, unchanged.")
-    ] = None,
+    results: Annotated[Path | None, option("DIR", "Keep the results in this folder, unchanged.")] = None,
     measured: Annotated[str | None, option("DATE", "Date of the test; UTC if it has no zone.")] = None,
-    supersedes: Annotated[
-        str | None, option("RECORD", "Name or number of the record that this one corrects.")
-    ] = None,
+    supersedes: Annotated[str | None, option("RECORD", "Record that this one corrects.")] = None,
     terms: TermsOption = None,
     method: MethodOption = None,
     phases: PhasesOption = None,
@@ -293,12 +289,8 @@ def diff(
 @app.command()
 def verify(
     store: Annotated[str | None, option("FILE|URL", "Store to check.", envvar="PIGA_STORE")] = None,
-    archive: Annotated[
-        Path | None, argument("EXPORT.zip", "Export or backup to check instead of the store.")
-    ] = None,
-    head: Annotated[
-        list[str] | None, option("SHA256", "Head noted earlier, e.g. on a report. May be repeated.")
-    ] = None,
+    archive: Annotated[Path | None, argument("EXPORT.zip", "Export or backup, instead of the store.")] = None,
+    head: Annotated[list[str] | None, option("SHA256", "Head noted earlier. May be repeated.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check every link, record and file.

@@ -1,4 +1,4 @@
-"""``piga terms``, ``methods``, ``examples``, ``completion`` and ``check --explain``: what helps to write files and commands."""
+"""``piga terms``, ``methods``, ``examples`` and ``check --explain``: what helps to write files and commands."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import difflib
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
-from piga.cli.common import ForceOption, JsonOption, argument, deliver, option, say, tell
+from piga.cli.common import ForceOption, JsonOption, argument, deliver, option, tell
 from piga.data import example_files
 from piga.errors import ArgumentError
 
@@ -124,28 +124,3 @@ def examples(
             path.write_bytes(content)
         first = f"{to.folder}/dividing-head.toml"
         to.tell(dict, lambda: f"Try: piga simulate {first} --out head; piga calibrate head/run.toml")
-
-
-WHERE = {
-    "bash": "piga completion bash >> ~/.bashrc",
-    "zsh": "piga completion zsh > ~/.zfunc/_piga, with 'fpath+=~/.zfunc; autoload -Uz compinit; compinit' in ~/.zshrc",
-    "fish": "piga completion fish > ~/.config/fish/completions/piga.fish",
-}
-"""How to install the script of each shell."""
-
-
-def completion(
-    shell: Annotated[
-        Literal["bash", "zsh", "fish"], argument("SHELL", "bash, zsh or fish.", show_default=False)
-    ],
-) -> None:
-    """Print the script for completion with Tab.
-
-    Install it with: piga completion bash >> ~/.bashrc; zsh: into a file _piga of your fpath; fish:
-    piga completion fish > ~/.config/fish/completions/piga.fish. Then open a new shell.
-    """
-    from typer._completion_shared import get_completion_script
-
-    say(f"# {WHERE[shell]}" if shell != "zsh" else "#compdef piga")
-    script = get_completion_script(prog_name="piga", complete_var="_PIGA_COMPLETE", shell=shell)
-    say(script.removeprefix("#compdef piga").strip())
