@@ -354,7 +354,8 @@ class Rows:
     def chain(self, *conditions: sa.ColumnElement[bool]) -> Iterator[sa.Row]:
         """The rows of the chain in order. Only a few are in memory at a time."""
         wanted = sa.select(ENTRY).where(sa.true(), *conditions).order_by(ENTRY.c.number)
-        return iter(self.connection.execute(wanted, execution_options={"yield_per": _ROWS}))
+        with self.connection.execute(wanted, execution_options={"yield_per": _ROWS}) as rows:
+            yield from rows
 
     def find(self, condition: sa.ColumnElement[bool]) -> sa.Row | None:
         """The row of the chain for which the condition holds; None if there is none."""
