@@ -120,13 +120,7 @@ def candidate_of(request: PlanRequest, label: str, table: SimpleStand) -> Candid
 
 
 def _noise_of(request: PlanRequest) -> Noise:
-    """Noise of the output as the estimator models it: quantisation and angle noise, random walk.
-
-    Raises
-    ------
-    CalibrationError
-        If the electronics have no noise; every plan would then be perfect.
-    """
+    """Noise of the output as the estimator models it: quantisation and angle noise, random walk."""
     e = request.scenario.electronics
     count = (1.0 if request.direct else 2.0 * math.pi / e.counts_per_revolution) if e.kind == "counts" else 0.0
     white = 0.0 if e.kind == "rate" else e.angle_noise**2 + count**2 / 12.0

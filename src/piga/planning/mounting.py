@@ -19,7 +19,6 @@ from piga.results import Array, Result
 from piga.stand.machines import angles_of_range
 from piga.stand.profile import NONE
 from piga.threads import one_thread
-from piga.units import to_si
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +82,7 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
         )
     stand = table.profile.build(request.path.parent)
     segments = stand.segments()
-    step = to_si(table.step, "s", what="[mounting] step")
+    step = table.in_si("[mounting] ")["step"]
     if not step > 0.0:
         raise ArgumentError("[mounting] step: must be positive", remedy="e.g. '0.1 s'")
     t = np.arange(segments[0].start, segments[-1].stop + 0.5 * step, step)

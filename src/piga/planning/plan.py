@@ -104,11 +104,6 @@ class Plan(Result, Plotted, Reported):
     standard: tuple[Prediction, ...]
     cheapest: CheapestTest | None
 
-    @property
-    def reference(self) -> Prediction:
-        """The standard plan with the most positions."""
-        return self.standard[-1]
-
     def _subject(self) -> ModuleType:
         return doors().shown_plan()
 

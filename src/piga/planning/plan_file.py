@@ -14,7 +14,7 @@ import msgspec
 
 from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.errors import PigaError, RunFileError, UnitError
-from piga.records.run_file import ModelTable, Quantity, TomlTable, UncertaintyTable
+from piga.records.run_file import ModelTable, Quantity, Seconds, TomlTable, UncertaintyTable
 from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
 from piga.records.text_files import convert_table, read_toml
 from piga.results import Result
@@ -48,15 +48,15 @@ class PlanSettings(TomlTable, frozen=True):
     largest ratio to ``wanted``.
     """
 
-    duration: Quantity
+    duration: Seconds
     criterion: Literal["D", "A", "c", "wanted"] = "D"
     coefficients: tuple[str, ...] | None = None
     combination: dict[str, float] = msgspec.field(default_factory=dict)
     wanted: dict[str, Quantity] = msgspec.field(default_factory=dict)
-    move: Quantity | None = None
-    minimum_dwell: Quantity = "30 s"
-    longest_dwell: Quantity = "600 s"
-    dwell_step: Quantity = "10 s"
+    move: Seconds | None = None
+    minimum_dwell: Seconds = "30 s"
+    longest_dwell: Seconds = "600 s"
+    dwell_step: Seconds = "10 s"
     margin: float = 2.0
     whole_revolutions: bool = True
     shuffle: bool = True
@@ -68,7 +68,7 @@ class MountingTable(TomlTable, frozen=True):
     profile: ProfileTable | _PlannedStand
     skew: str = "0:91:1 deg"
     clock: str = "0:360:15 deg"
-    step: Quantity = "0.1 s"
+    step: Seconds = "0.1 s"
     margin: float = 2.0
 
 
@@ -113,8 +113,7 @@ class PlanRequest(Result):
     @property
     def stands(self) -> tuple[SimpleStand, ...]:
         """The parts of the stand, one unless it is a composite."""
-        stand = self.table.stand
-        return stand.parts if isinstance(stand, CompositeTable) else (stand,)
+        return _parts(self.table)
 
 
 def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
@@ -155,42 +154,36 @@ def request_of(model: ModelTable) -> Request:
 
 def _check(table: PlanTable, model: ModelTable) -> None:
     """Refuse requests that the information of single positions cannot answer."""
-    for name in model.terms:
-        if name in _TIMELY:
-            raise RunFileError(
-                f"[model] terms: '{name}' depends on when a position is taken and cannot be planned",
-                remedy="leave it out of the plan; it can still be estimated from the test",
-            )
-    if "tan_beta" in model.terms and not any(name in table.truth for name in ("beta", "tan_beta")):
-        raise RunFileError(
-            "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
-            remedy='add the expected size, e.g. beta = "20 arcsec"',
-        )
+    timely = ", ".join(name for name in model.terms if name in _TIMELY)
+    fixed = ", ".join(
+        str(stand.__struct_config__.tag) for stand in _parts(table) if not isinstance(stand, _PlannedStand)
+    )
+    electronics, phase = table.electronics, "tan_beta" in model.terms
+    no_rate = electronics.output == "rate" and model.phases == "shared" and with_phase(model.terms)
+    for refused, words, remedy in (
+        (timely, f"[model] terms: '{timely}' depends on when a position is taken and cannot be planned",
+         "leave it out of the plan; it can still be estimated from the test"),
+        (phase and not {"beta", "tan_beta"} & {*table.truth},
+         "[truth] lacks beta: the uncertainty of its phase depends on the size of tan_beta",
+         'add the expected size, e.g. beta = "20 arcsec"'),
+        (no_rate, "[model] phases = 'shared': a log of rates does not tell how far the output turned in a move",
+         "set phases = 'per-segment', or plan with output = 'counts' or 'angle'"),
+        (electronics.bias_random_walk != 0.0, "[electronics] bias_random_walk is not part of the noise model of the estimator",
+         "leave it out of the plan"),
+        (table.noise != NoiseTable(), "[noise] is not part of the noise model of a plan: white noise and random walk are",
+         "leave [noise] out of the plan"),
+        (fixed, f"[stand] kind '{fixed}' has no positions or levels to choose from",
+         "plan with a dividing head, centrifuge, rate table, or a composite of these"),
+    ):  # fmt: skip
+        if refused:
+            raise RunFileError(words, remedy=remedy)
     check_servo(request_of(model))
-    if table.electronics.output == "rate" and model.phases == "shared" and with_phase(model.terms):
-        raise RunFileError(
-            "[model] phases: 'shared' is not possible with output = 'rate': a log of rates does not tell how far the output turned "
-            "in a move",
-            remedy="set phases = 'per-segment', or plan with output = 'counts' or 'angle'",
-        )
-    if table.electronics.bias_random_walk != 0.0:
-        raise RunFileError(
-            "[electronics] bias_random_walk is not part of the noise model of the estimator",
-            remedy="leave it out of the plan",
-        )
-    if table.noise != NoiseTable():
-        raise RunFileError(
-            "[noise] is not part of the noise model of a plan: white noise and random walk are",
-            remedy="leave [noise] out of the plan",
-        )
-    stands = table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
-    for stand in stands:
-        if not isinstance(stand, _PlannedStand):
-            raise RunFileError(
-                f"[stand] kind '{stand.__struct_config__.tag}' has no positions or levels to choose from",
-                remedy="plan with a dividing head, centrifuge, rate table, or a composite of these",
-            )
     _check_names(table.plan, model)
+
+
+def _parts(table: PlanTable) -> tuple[SimpleStand, ...]:
+    """The parts of the stand, one unless it is a composite."""
+    return table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
 
 
 def _check_names(plan: PlanSettings, model: ModelTable) -> None:
@@ -216,11 +209,8 @@ def _check_names(plan: PlanSettings, model: ModelTable) -> None:
 
 def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: UncertaintyTable) -> PlanRequest:
     plan = table.plan
-    times = {
-        key: to_si(getattr(plan, key), "s", what=f"[plan] {key}")
-        for key in ("duration", "minimum_dwell", "longest_dwell", "dwell_step")
-    }
-    times["move"] = _move(table)
+    times = plan.in_si("[plan] ")
+    times.setdefault("move", _longest_move(table))
     for key, seconds in times.items():
         if not seconds > 0.0:
             raise RunFileError(f"[plan] {key}: {seconds:g} s is not positive", remedy="give a time above 0 s")
@@ -239,13 +229,8 @@ def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: Uncer
     return PlanRequest(path, table, scenario_of(path, table), model, uncertainty, wanted=wanted, **times)
 
 
-def _move(table: PlanTable) -> float:
-    """Time between two visits: as given, or else the longest time of the stands."""
-    if table.plan.move is not None:
-        return to_si(table.plan.move, "s", what="[plan] move")
-    stand = table.stand
-    times = [to_si(stand.pause, "s", what="[stand] pause")] if isinstance(stand, CompositeTable) else []
-    for part in stand.parts if isinstance(stand, CompositeTable) else (stand,):
-        given = {key: getattr(part, key) for key in ("move", "ramp") if hasattr(part, key)}
-        times += [to_si(value, "s", what=f"[stand] {key}") for key, value in given.items()]
-    return max(times)
+def _longest_move(table: PlanTable) -> float:
+    """The longest time that a part of the stand needs between two positions, or a composite between two parts [s]."""
+    tables = (table.stand, *_parts(table))
+    times = [one.in_si("[stand] ") for one in tables]
+    return max(si[key] for si in times for key in ("move", "ramp", "pause") if key in si)

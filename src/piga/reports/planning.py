@@ -137,7 +137,7 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
 
 
 def _tiles(plan: Plan) -> tuple[Tile, ...]:
-    reference, best = plan.reference, plan.best
+    reference, best = plan.standard[-1], plan.best
     tiles = [
         Tile("Visits", str(len(best.visits)), detail=f"of {len(plan.candidates)} candidates"),
         Tile("Recorded", short(best.recorded), "s", f"of {short(best.duration)} s"),
