@@ -160,7 +160,7 @@ def bow_at_end(h: float, h_near: float, h_far: float, near: float, far: float) -
     )
 
 
-LIMIT = 1.6e6
+_LIMIT = 1.6e6
 """Largest angle [rad] of the fast reduction: 2^20 quarter turns."""
 
 _TWO_OVER_PI = 2.0 / math.pi
@@ -182,8 +182,10 @@ _C5 = -1.1382623647474604e-11
 
 
 @inline
-def fast_sine_cosine(angle: float) -> tuple[float, float]:
-    """``sin`` and ``cos`` of an angle of at most ``LIMIT`` [rad]; error below 2e-16."""
+def sine_cosine(angle: float) -> tuple[float, float]:
+    """``sin`` and ``cos`` of any finite angle [rad]; error below 2e-16."""
+    if abs(angle) > _LIMIT:
+        return math.sin(angle), math.cos(angle)
     quarter = np.rint(angle * _TWO_OVER_PI)
     r = ((angle - quarter * _HALF_PI_1) - quarter * _HALF_PI_2) - quarter * _HALF_PI_3
     x = r * r
@@ -192,21 +194,9 @@ def fast_sine_cosine(angle: float) -> tuple[float, float]:
     half = 0.5 * x
     one = 1.0 - half
     cosine = one + (((1.0 - one) - half) + tail)
-    pairs = np.floor(0.5 * quarter)
-    odd = quarter - 2.0 * pairs
-    sign = 1.0 - 2.0 * (pairs - 2.0 * np.floor(0.5 * pairs))
-    swapped = odd != 0.0
-    s = cosine if swapped else sine
-    c = -sine if swapped else cosine
-    return sign * s, sign * c
-
-
-@inline
-def sine_cosine(angle: float) -> tuple[float, float]:
-    """``sin`` and ``cos`` of any finite angle [rad]."""
-    if abs(angle) > LIMIT:
-        return math.sin(angle), math.cos(angle)
-    return fast_sine_cosine(angle)
+    turned = int(quarter) & 3
+    s, c = (cosine, -sine) if turned & 1 else (sine, cosine)
+    return (-s, -c) if turned & 2 else (s, c)
 
 
 _TAN_EIGHTH = math.tan(math.pi / 8.0)

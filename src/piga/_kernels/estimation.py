@@ -24,27 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import (
-    LIMIT,
     bow_at_end,
     bow_inside,
-    fast_sine_cosine,
     second_derivatives,
     sine_cosine,
 )
-from piga._kernels.jit import Array, inline, kernel
+from piga._kernels.jit import Array, kernel
 from piga.terms import Factor
 
 NONE = np.empty(0)
 """No column."""
-
-
-@inline
-def _small_angle_moments(x: float) -> tuple[float, float, float]:
-    """As :func:`half_angle_moments` for ``|x| < 0.5``: series, since the quotients lose digits."""
-    x2 = x * x
-    j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
-    ratio = _J1[0] + x2 * (_J1[1] + x2 * (_J1[2] + x2 * (_J1[3] + x2 * (_J1[4] + x2 * (_J1[5] + x2 * _J1[6])))))
-    return j0, x * ratio, 2.0 * ratio
 
 
 @kernel
@@ -53,8 +42,13 @@ def half_angle_moments(x: float) -> tuple[float, float, float]:
 
     ``j0 = sin x / x``, ``j1 = (sin x - x cos x)/x^2`` and ``2 j1/x``: spherical Bessel functions.
     """
-    if abs(x) < 0.5:
-        return _small_angle_moments(x)
+    if abs(x) < 0.5:  # series, since the quotients lose digits
+        x2 = x * x
+        j0 = 1.0 + x2 * (_J0[0] + x2 * (_J0[1] + x2 * (_J0[2] + x2 * (_J0[3] + x2 * (_J0[4] + x2 * _J0[5])))))
+        ratio = _J1[0] + x2 * (
+            _J1[1] + x2 * (_J1[2] + x2 * (_J1[3] + x2 * (_J1[4] + x2 * (_J1[5] + x2 * _J1[6]))))
+        )
+        return j0, x * ratio, 2.0 * ratio
     sine, cosine = math.sin(x), math.cos(x)
     j1 = (sine - x * cosine) / (x * x)
     return sine / x, j1, 2.0 * j1 / x
@@ -86,37 +80,18 @@ def coupling_columns(
     columns:
         (2, n) results.
     """
-    small = True
     for i in range(h.size):
-        turn, middle = 0.5 * order * (psi[i + 1] - psi[i]), 0.5 * order * (psi[i] + psi[i + 1])
-        small &= (h[i] == 0.0) | ((abs(turn) < 0.5) & (abs(middle) <= LIMIT))
-    if small:  # without branches: whole vectors at a time
-        for i in range(h.size):
-            moments = _small_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-            turned = fast_sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
-            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, i, order * bend[i], moments, turned)
-    else:
-        for i in range(h.size):
-            moments = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-            turned = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
-            columns[0, i], columns[1, i] = _coupled(y, z, bows, h, i, order * bend[i], moments, turned)
-
-
-@inline
-def _coupled(
-    y: Array, z: Array, bows: Array, h: Array, i: int, bend: float,
-    moments: tuple[float, float, float], turned: tuple[float, float],
-) -> tuple[float, float]:  # fmt: skip
-    """Both product integrals of interval ``i``: moments of half its turn, sag ``bend``, sine and cosine at its middle."""
-    j0, j1, sag = moments
-    s, c = turned
-    ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
-    zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
-    bent = bend * sag
-    # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
-    ye, ze = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i]
-    yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
-    return h[i] * (s * (ye + zo) + c * (yo - ze)), h[i] * (c * (ye + zo) - s * (yo - ze))
+        # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
+        j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
+        s, c = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
+        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
+        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
+        ye, ze, bent = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i], order * bend[i] * sag
+        yo, zo = yd * j1 + ym * bent, zd * j1 + zm * bent
+        columns[0, i], columns[1, i] = (
+            h[i] * (s * (ye + zo) + c * (yo - ze)),
+            h[i] * (c * (ye + zo) - s * (yo - ze)),
+        )
 
 
 def product_column(

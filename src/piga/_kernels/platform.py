@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from piga._kernels.jit import Array, inline, kernel
 
 Vector = tuple[float, float, float]
@@ -140,7 +142,7 @@ def moved(h: float, v: float, d: float, d1: float, d2: float, g: float, g1: floa
 
 
 @kernel
-def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
+def navigate_chunk(
     dv: Array,
     angles: Array,
     triad: Triad,
@@ -157,29 +159,24 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
     r, v, three gravitations, two increments, (height error, -, -), normal. The states kept go to ``positions``
     and ``velocities``.
     """
-    h, every, damping, earth = stepping.h, stepping.every, stepping.damping, stepping.earth
-    c_gi, drift = triad.c_gi, triad.drift
-    n = dv.shape[0]
-    gm, j2a2, semi_minor, e2, q = earth[0], earth[1], earth[2], earth[3], earth[4]
-    k1, k2 = damping[0] * h, damping[1] * h
-    x, y, z = state[0, 0], state[0, 1], state[0, 2]
-    u, v, w = state[1, 0], state[1, 1], state[1, 2]
-    gx, gy, gz = state[2, 0], state[2, 1], state[2, 2]
-    px, py, pz = state[3, 0], state[3, 1], state[3, 2]
-    rx, ry, rz = state[4, 0], state[4, 1], state[4, 2]
-    d1x, d1y, d1z = state[5, 0], state[5, 1], state[5, 2]
-    d2x, d2y, d2z = state[6, 0], state[6, 1], state[6, 2]
-    height_error = state[7, 0]
-    nx, ny, nz = state[8, 0], state[8, 1], state[8, 2]
-    c00, c01, c02 = c_gi[0, 0], c_gi[0, 1], c_gi[0, 2]
-    c10, c11, c12 = c_gi[1, 0], c_gi[1, 1], c_gi[1, 2]
-    c20, c21, c22 = c_gi[2, 0], c_gi[2, 1], c_gi[2, 2]
-    altitude_stride = 1 if altitude.shape[0] > 1 else 0
-    angle_stride = 1 if angles.shape[0] > 1 else 0
-    h24 = h / 24.0
-    written, left = 0, every
-    for i in range(n):
-        at, middle = i * angle_stride, (i + 0.5) * h
+    h, every, c, drift = stepping.h, stepping.every, triad.c_gi, triad.drift
+    earth = stepping.earth
+    gm, j2a2, semi_minor, e2, lengthened = earth[0], earth[1], earth[2], earth[3], earth[4]
+    k1, k2 = stepping.damping[0] * h, stepping.damping[1] * h
+    r, v, g, g1, g2, d1, d2, normal = (
+        state[0],
+        state[1],
+        state[2],
+        state[3],
+        state[4],
+        state[5],
+        state[6],
+        state[8],
+    )
+    d, now = np.empty(3), np.empty(3)
+    h24, written, left = h / 24.0, 0, every
+    for i in range(dv.shape[0]):
+        at, middle = i if angles.shape[0] > 1 else 0, (i + 0.5) * h
         ex, ey, ez = (
             angles[at, 0] + drift[0] * middle,
             angles[at, 1] + drift[1] * middle,
@@ -187,39 +184,25 @@ def navigate_chunk(  # noqa: PLR0915 - one loop whose scalars stay in registers
         )
         fx, fy, fz = dv[i, 0], dv[i, 1], dv[i, 2]
         bx, by, bz = fx + ey * fz - ez * fy, fy + ez * fx - ex * fz, fz + ex * fy - ey * fx
-        dx = c00 * bx + c01 * by + c02 * bz
-        dy = c10 * bx + c11 * by + c12 * bz
-        dz = c20 * bx + c21 * by + c22 * bz
-        kick1, kick2 = k1 * height_error, k2 * height_error
-        x += moved(h, u, dx, d1x, d2x, gx, px, rx) - kick1 * nx
-        y += moved(h, v, dy, d1y, d2y, gy, py, ry) - kick1 * ny
-        z += moved(h, w, dz, d1z, d2z, gz, pz, rz) - kick1 * nz
-        u += dx - kick2 * nx + h24 * (19.0 * gx - 5.0 * px + rx)
-        v += dy - kick2 * ny + h24 * (19.0 * gy - 5.0 * py + ry)
-        w += dz - kick2 * nz + h24 * (19.0 * gz - 5.0 * pz + rz)
-        rx, ry, rz, px, py, pz = px, py, pz, gx, gy, gz
-        d2x, d2y, d2z, d1x, d1y, d1z = d1x, d1y, d1z, dx, dy, dz
-        gx, gy, gz, inverse = gravitation(x, y, z, gm, j2a2)
-        u += 9.0 * h24 * gx
-        v += 9.0 * h24 * gy
-        w += 9.0 * h24 * gz
-        height, nx, ny, nz = height_and_normal(x, y, z, inverse, semi_minor, e2, q)
-        height_error = height - altitude[i * altitude_stride]
+        error = state[7, 0]
+        for j in range(3):
+            d[j] = c[j, 0] * bx + c[j, 1] * by + c[j, 2] * bz
+            r[j] += moved(h, v[j], d[j], d1[j], d2[j], g[j], g1[j], g2[j]) - k1 * error * normal[j]
+            v[j] += d[j] - k2 * error * normal[j] + h24 * (19.0 * g[j] - 5.0 * g1[j] + g2[j])
+            d2[j], d1[j] = d1[j], d[j]
+        now[0], now[1], now[2], inverse = gravitation(r[0], r[1], r[2], gm, j2a2)
+        for j in range(3):
+            v[j] += 9.0 * h24 * now[j]
+            g2[j], g1[j], g[j] = g1[j], g[j], now[j]
+        height, normal[0], normal[1], normal[2] = height_and_normal(
+            r[0], r[1], r[2], inverse, semi_minor, e2, lengthened
+        )
+        state[7, 0] = height - altitude[i if altitude.shape[0] > 1 else 0]
         left -= 1
         if left == 0:
-            left = every
-            positions[written, 0], positions[written, 1], positions[written, 2] = x, y, z
-            velocities[written, 0], velocities[written, 1], velocities[written, 2] = u, v, w
-            written += 1
-    state[0, 0], state[0, 1], state[0, 2] = x, y, z
-    state[1, 0], state[1, 1], state[1, 2] = u, v, w
-    state[2, 0], state[2, 1], state[2, 2] = gx, gy, gz
-    state[3, 0], state[3, 1], state[3, 2] = px, py, pz
-    state[4, 0], state[4, 1], state[4, 2] = rx, ry, rz
-    state[5, 0], state[5, 1], state[5, 2] = d1x, d1y, d1z
-    state[6, 0], state[6, 1], state[6, 2] = d2x, d2y, d2z
-    state[7, 0] = height_error
-    state[8, 0], state[8, 1], state[8, 2] = nx, ny, nz
+            for j in range(3):
+                positions[written, j], velocities[written, j] = r[j], v[j]
+            written, left = written + 1, every
     return written
 
 

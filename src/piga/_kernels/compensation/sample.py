@@ -272,13 +272,6 @@ def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float
 
 
 @inline_exact
-def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
-    """A sample of the angle with no interval before it: only its inputs are kept."""
-    y, z = transverse(p, now)
-    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
-
-
-@inline_exact
 def _doubt_of_interval(per_K: float, past: Past, force: float, slope: float, x: Row) -> float:
     """Uncertainty of the mean force of an interval by the motion between samples [m/s^2].
 
@@ -395,27 +388,10 @@ def _compensate_sample(
 ) -> tuple[float, float, float, int]:
     """Force [m/s^2], velocity increment [m/s], standard uncertainty of the force [m/s^2] and flags at one sample.
 
-    Parameters
-    ----------
-    p, more:
-        The instrument.
-    past:
-        The samples before; updated.
-    now, h:
-        The sample, and the interval since the last one [s]; 0 where a stretch begins.
-    kind:
-        ``ANGLE``, ``RATE``, or ``_BOTH``: a rate with its recorded angle.
-    warm:
-        The temperature is recorded.
-    x, work:
-        Room for the row, and for the regressors; empty: no uncertainty is wanted.
-    sums:
-        Sums for the uncertainty of the velocity; updated.
-
-    Returns
-    -------
-    ax, dv, u, flags:
-        Angles: means over the interval; nan, 0 and ``NO_INCREMENT`` where a stretch begins. Rates: values at the sample.
+    Of angles means over the interval (nan, 0 and ``NO_INCREMENT`` where a stretch begins), of rates values at the sample.
+    ``h``: the interval since the last one [s]; 0 where a stretch begins. ``kind``: ``ANGLE``, ``RATE``, or ``_BOTH``, a rate
+    with its recorded angle. ``warm``: the temperature is recorded. ``x``, ``work``: room for the row and the regressors; no
+    uncertainty is wanted if ``work`` is empty. ``past`` and ``sums`` are updated.
     """
     if past.seen == 0.0:
         past.start = now.psi if p.published != 0.0 and kind == ANGLE else 0.0
@@ -427,7 +403,8 @@ def _compensate_sample(
     elif h != 0.0:
         indicated, bend = _indicate_interval(p, past, now, h, x)
     else:
-        begin_stretch(p, past, now)
+        y, z = transverse(p, now)
+        keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
         keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
         keep_sample(past, now, now.psi, p.phi, 0.0)
         sums[STRETCHES] += 1.0

@@ -22,14 +22,15 @@ from piga._kernels.compensation.data import Covariance, Instrument, Past, Row, S
 from piga._kernels.compensation.sample import (
     FADING,
     Spacing,
-    begin_stretch,
     change_over,
     constant_input,
+    keep_bends,
     keep_interval,
     keep_sample,
     read_interval,
     read_sample,
     spacing,
+    transverse,
 )
 from piga._kernels.compensation.terms import (
     TWELFTH,
@@ -218,12 +219,9 @@ def _invert_normal(rows: Any, n: Array) -> None:
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(rows.size):
         m = rows[i]
-        xx += m.weight * m.axis_x * m.axis_x
-        xy += m.weight * m.axis_x * m.axis_y
-        xz += m.weight * m.axis_x * m.axis_z
-        yy += m.weight * m.axis_y * m.axis_y
-        yz += m.weight * m.axis_y * m.axis_z
-        zz += m.weight * m.axis_z * m.axis_z
+        x, y, z, weight = m.axis_x, m.axis_y, m.axis_z, m.weight
+        xx, xy, xz = xx + weight * x * x, xy + weight * x * y, xz + weight * x * z
+        yy, yz, zz = yy + weight * y * y, yz + weight * y * z, zz + weight * z * z
     a, b, d = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     per = 1.0 / (xx * a + xy * b + xz * d)
     n[0, 0], n[1, 1], n[2, 2] = a * per, (xx * zz - xz * xz) * per, (xx * yy - xy * xy) * per
@@ -319,7 +317,8 @@ def compensate_set(
             if solved:
                 _read_row(of, i, past, now, h, sampled, solution.rows[i])
             else:
-                begin_stretch(p, past, now)
+                y, z = transverse(p, now)
+                keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
             keep_sample(past, now, now.psi, p.phi, 0.0)
         if solved:
             _solve_row(of, gap, sampled, first, last.early[_PLAIN], solution)
