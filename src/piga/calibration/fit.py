@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -53,35 +53,6 @@ _ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class FittedRecord:
-    """A record under a fit: its columns, its weights, and the column coefficients ``values`` (segments, m).
-
-    ``jacobians`` are the derivatives of these by the parameters of the fit, for each segment, ``inverse`` is the inverse
-    information of the parameters. ``moved`` gives the change of the coefficients (file units) by one of the parameters.
-    """
-
-    design: Design
-    mode: str
-    noise: Noise
-    values: Array
-    jacobians: Sequence[Array]
-    inverse: Array
-    moved: Callable[[Array], Array]
-
-    def effects(self, parts: Sequence[Reduction]) -> Array:
-        """Change of the parameters by one unit of each extra column: (parameters, extra columns).
-
-        ``parts`` are ``[model | rate | extra | y]`` of the positions.
-        """
-        m, segments = len(self.design.names), Positions.of(self.design.run).segments.tolist()
-        score = sum(
-            self.jacobians[segment].T @ part.factor[:, :m].T @ part.factor[:, m:-1]
-            for part, segment in zip(with_scatter(parts, self.noise), segments, strict=True)
-        )
-        return np.asarray(self.inverse @ score)
-
-
-@dataclass(frozen=True)
 class Fit:
     """A finished fit of one run.
 
@@ -103,11 +74,6 @@ class Fit:
     def positions(self) -> list[Reduction]:
         """The same triangles with the servo columns at the phases of the fit."""
         return at_phases(self.design, self.rows)
-
-    @property
-    def summaries(self) -> list[Reduction]:
-        """Triangles ``[model | y]`` of the segments, with scatter."""
-        return of_segments(with_scatter(self.positions, self.noise), Positions.of(self.design.run))
 
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.fit import FittedRecord, fit_run
+from piga.calibration.fit import fit_run
 from piga.calibration.intervals import Interval, Repetition, find_interval
 from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.identifiability import (
@@ -291,14 +291,6 @@ class JointFit(MergedRuns):
         if own.request.terms == terms and own.scale_factor == scale_factor:
             return own.with_servo(state), values
         return Design(live.run, replace(live.request, terms=terms), scale_factor, state), values
-
-    def record(self, index: int, live: LiveRun) -> FittedRecord:
-        """A run with raw data under the fit."""
-        design, values = self.design_of(index, live)
-        first = self.first_group(index)
-        jacobians = [self.estimate.jacobians[first + group] for group in design.groups]
-        inverse = self.estimate.inverse
-        return FittedRecord(design, live.fit.mode, live.fit.noise, values, jacobians, inverse, self.moved)
 
     def moved(self, change: Array) -> Array:
         """Change of the coefficients (n,; file units) by a change of the internal parameters."""

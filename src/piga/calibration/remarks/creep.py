@@ -9,18 +9,18 @@ or proportional to the change of a_x by the move. A few time constants are tried
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga._kernels.estimation import merge_rows
-from piga.calibration.fit import FittedRecord
 from piga.calibration.intervals import sandwich
 from piga.calibration.joint import JointFit
-from piga.calibration.model.design import Block
+from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.summary import LiveRun
-from piga.calibration.weights import RATE, Extra, Positions, reduce_positions, residual_increments
+from piga.calibration.weights import RATE, Extra, Positions, reduce_positions, residual_increments, with_scatter
 from piga.records.calibration import Coefficient, Creep
 from piga.records.calibration.diagnostics import CREEP_ALARMS
 from piga.records.run import Run
@@ -41,17 +41,42 @@ _REST = 0.1
 """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
 
 
+@dataclass(frozen=True)
+class _Record:
+    """A run under the fit of all runs: its columns, and their coefficients in each segment."""
+
+    fit: JointFit
+    live: LiveRun
+    design: Design
+    values: Array
+    first: int
+
+    def moved(self, rows: Sequence[Reduction], size: float) -> Array:
+        """Change of the coefficients (n,; file units) by ``size`` of the last column before y of the triangles of the positions."""
+        estimate, noise, groups = self.fit.estimate, self.live.fit.noise, self.design.groups
+        score = sum(
+            estimate.jacobians[self.first + group].T @ part.factor[:, :-2].T @ part.factor[:, -2]
+            for part, group in zip(with_scatter(rows, noise), groups, strict=True)
+        )
+        return self.fit.moved(size * (estimate.inverse @ score))
+
+
 def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
     """The likeliest creep of the runs with raw data, and its run; None if none was tested."""
-    tested = [(live, find_creep(fit.record(k, live), coefficients)) for k, live in enumerate(fit.live) if live]
-    creeps = [(live, creep) for live, creep in tested if creep is not None]
+    creeps = []
+    for index, live in enumerate(fit.live):
+        if live:
+            creep = find_creep(
+                _Record(fit, live, *fit.design_of(index, live), fit.first_group(index)), coefficients
+            )
+            creeps += [(live, creep)] if creep is not None else []
     if not creeps:
         return None
     live, best = max(creeps, key=lambda item: (item[1].seen, item[1].largest_shift, -item[1].probability))
     return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
 
 
-def find_creep(fit: FittedRecord, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+def find_creep(fit: _Record, coefficients: tuple[Coefficient, ...]) -> Creep | None:
     """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough.
 
     ``coefficients`` are those of the result, with combined standard uncertainties.
@@ -73,7 +98,7 @@ def find_creep(fit: FittedRecord, coefficients: tuple[Coefficient, ...]) -> Cree
         near = _tests(fit, positions, [best.time * part for part in _NEAR])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
-    shifts = zip(coefficients, fit.moved(-best.size * fit.effects(best.rows)[:, 0]), strict=True)
+    shifts = zip(coefficients, fit.moved(best.rows, -best.size), strict=True)
     return Creep(
         best.size / scale,
         best.std / scale,
@@ -85,7 +110,7 @@ def find_creep(fit: FittedRecord, coefficients: tuple[Coefficient, ...]) -> Cree
     )
 
 
-def _decays(fit: FittedRecord, positions: Positions, block: Block, times: list[float]) -> Array:
+def _decays(fit: _Record, positions: Positions, block: Block, times: list[float]) -> Array:
     """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
     design, run = fit.design.means, fit.design.means.run
     samples = slice(block.start - (not design.point), block.stop)
@@ -127,13 +152,13 @@ class _Test:
     fall: float
 
 
-def _tests(fit: FittedRecord, positions: Positions, times: list[float]) -> list[_Test]:
+def _tests(fit: _Record, positions: Positions, times: list[float]) -> list[_Test]:
     """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
     from scipy.special import stdtr
 
     names, m = tuple(map(str, range(len(times)))), len(fit.design.names)
     extra = Extra(names, lambda block: _decays(fit, positions, block, times))
-    parts = reduce_positions(fit.design, fit.mode, fit.noise, positions, extra)
+    parts = reduce_positions(fit.design, fit.live.fit.mode, fit.live.fit.noise, positions, extra)
     tests = []
     for by_move, moves in ((False, np.ones(positions.count)), (True, _moves(fit.design.run, positions))):
         for name, time in zip(names, times, strict=True):
@@ -152,7 +177,7 @@ def _tests(fit: FittedRecord, positions: Positions, times: list[float]) -> list[
     return tests
 
 
-def _stacked(fit: FittedRecord, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+def _stacked(fit: _Record, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
     """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
     from scipy.special import stdtrit
 
