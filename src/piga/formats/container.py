@@ -439,11 +439,6 @@ class _Cells:
 
 
 CONTAINERS: dict[str, type[Container]] = {
-    ".h5": Hdf5,
-    ".hdf5": Hdf5,
-    ".hdf": Hdf5,
-    ".mat": Mat,
-    ".tdms": Tdms,
-    ".xlsx": Xlsx,
-}
+    ".h5": Hdf5, ".hdf5": Hdf5, ".hdf": Hdf5, ".mat": Mat, ".tdms": Tdms, ".xlsx": Xlsx,
+}  # fmt: skip
 """Readers of containers by the ending of the file name."""

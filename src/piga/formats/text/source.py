@@ -37,10 +37,18 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
     ``wanted`` column names. If both show the same, the bytes decide: see :func:`looks_western`.
     """
     if declared is not None:
-        return _declared(declared, path)
-    for mark, name in _MARKS:
-        if head.startswith(mark):
-            return name
+        try:
+            "".encode(declared)  # Python also has codecs that are not text encodings
+            return codecs.lookup(declared).name
+        except (LookupError, ValueError):
+            words = f"[data] encoding '{declared[:40]}' is not supported"
+            remedy = (
+                "give the name that Python has for it, such as 'cp1252', 'gb18030', 'shift_jis' or 'utf-16'"
+            )
+            raise refusal(path, words, remedy, fixes=_ENCODING) from None
+    marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
+    if marked is not None:
+        return marked
     texts = {name: text for name in ("utf-8", *GUESSED) if (text := _decoded(head, name)) is not None}
     if "utf-8" in texts:
         return "utf-8"
@@ -58,17 +66,6 @@ def looks_western(head: bytes) -> bool:
     """True if most accented letters stand alone, as in ``Zähler``. Chinese characters are pairs of such bytes."""
     lengths = [len(run) for run in _HIGH.findall(head)]
     return 2 * sum(length % 2 for length in lengths) >= len(lengths)
-
-
-def _declared(declared: str, path: Path) -> str:
-    """Python's name of an encoding. Python also has codecs that are not text encodings."""
-    try:
-        "".encode(declared)
-        return codecs.lookup(declared).name
-    except (LookupError, ValueError):
-        words = f"[data] encoding '{declared[:40]}' is not supported"
-        remedy = "give the name that Python has for it, such as 'cp1252', 'gb18030', 'shift_jis' or 'utf-16'"
-        raise refusal(path, words, remedy, fixes=_ENCODING) from None
 
 
 def _decoded(head: bytes, encoding: str) -> str | None:
