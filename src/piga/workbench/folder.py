@@ -134,8 +134,6 @@ class Folder:
                 raise OutsideError(words, remedy=f"remove {STATE_FOLDER}, or open another folder")
         return path
 
-    # --- paths ------------------------------------------------------------------------------------
-
     def path(self, name: str) -> Path:
         """The path of the file or folder ``name`` below this folder. It need not exist."""
         if not _is_plain(name):
@@ -188,8 +186,6 @@ class Folder:
             words = f"{path.name}: cannot be read ({error.strerror})"
             raise OutsideError(words, remedy="choose a listed file") from None
 
-    # --- TOML files -------------------------------------------------------------------------------
-
     def text(self, name: str) -> str:
         """The text of a TOML file of the folder."""
         return self.read(self.file(name), _MOST_TOML).decode("utf-8", "replace")
@@ -209,8 +205,6 @@ class Folder:
                 words = f"{path.name} names {one.name[:80]}: {error.message}"
                 raise OutsideError(words, remedy=error.remedy) from None
         return path
-
-    # --- what is in it ----------------------------------------------------------------------------
 
     def files(self) -> Iterator[Path]:
         """The regular files of the folder and of its folders, without hidden files and links."""
@@ -341,9 +335,6 @@ def _is_regular(path: Path) -> bool:
     with suppress(OSError):
         return stat.S_ISREG(os.lstat(path).st_mode)
     return False
-
-
-# --- what was changed -----------------------------------------------------------------------------
 
 
 class ChangedError(ArgumentError):

@@ -88,9 +88,6 @@ class Outline(msgspec.Struct, frozen=True):
     thinned: int = 1
 
 
-# --- the cache ------------------------------------------------------------------------------------
-
-
 def cache_key(paths: list[Path]) -> str:
     """Name of the cache of a record. It changes if any file of the record changes."""
     states = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths if path.is_file()]
@@ -258,9 +255,6 @@ def _moves(run: Run, first: int, last: int) -> Iterator[tuple[int, int]]:
         still = first + np.flatnonzero(~far)
         ends = ((first, int(still[0])), (int(still[-1]) + 1, last))
         yield from (one for one in ends if one[0] < one[1])
-
-
-# --- a picture ------------------------------------------------------------------------------------
 
 
 def picture(folder: Path, keys: Sequence[str], first: float, last: float, width: int) -> Array:

@@ -87,21 +87,7 @@ const watch = () => {
   setInterval(ask, 3000);
 };
 
-// A press counts if the same button is there when it is let go: no part of the page asks for itself in between.
-const steady = () => {
-  let pressed = false;
-  addEventListener("pointerdown", () => { pressed = true; }, true);
-  ["pointerup", "pointercancel"].forEach((kind) => addEventListener(kind, () => { setTimeout(() => { pressed = false; }, 20); }, true));
-  const later = (act) => setTimeout(() => (pressed ? later(act) : act()), 20);
-  document.addEventListener("htmx:confirm", (event) => {
-    if (!pressed) return;
-    event.preventDefault();
-    later(() => event.detail.issueRequest(true));
-  });
-};
-
 document.addEventListener("DOMContentLoaded", () => {
-  steady();
   upload();
   records();
   watch();

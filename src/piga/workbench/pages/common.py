@@ -59,9 +59,6 @@ def bench_of(request: Request) -> Bench:
     return bench
 
 
-# --- pages ----------------------------------------------------------------------------------------
-
-
 def _moment(seconds: float) -> str:
     """A time in the zone of this machine."""
     with suppress(OSError, OverflowError, ValueError):
@@ -143,8 +140,6 @@ def error_page(request: Request, error: Exception) -> Response:
     )  # of a part, too
     return page
 
-
-# --- forms ----------------------------------------------------------------------------------------
 
 Sent = dict[str, str]
 """The fields of a sent form."""
@@ -241,7 +236,6 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
 
 
 def _health(_request: Request) -> Response:
-    """The server answers."""
     return PlainTextResponse("ok\n")
 
 

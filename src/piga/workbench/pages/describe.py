@@ -65,7 +65,6 @@ def _roles() -> list[tuple[str, str]]:
 
 
 def _role(column: ColumnGuess) -> str:
-    """The choice of a column."""
     return column.kind if column.axis is None else f"{column.kind} {'xyz'[column.axis]}"
 
 
@@ -84,14 +83,17 @@ def sheet(folder: Folder, name: str, sent: Sent) -> _Sheet:
     """Describe a log with the corrections and answers of a form."""
     log = folder.file(name)
     described, fields, message = describe_log(log), dict[str, Field](), ""
-    draft = draft_run_file(described, {}, folder=log.parent)
+    draft = draft_run_file(described)
     try:
         told = _told(described.columns, sent)
         described = describe_log(log, told) if told else described
+    except PigaError as error:
+        message = str(error).removeprefix("--column ")
+    try:
         draft = _answered(described, _taken(folder, sent.get("take", "")), sent, fields)
         read_run_file(log.with_suffix(".toml"), draft.completed().text().encode())
     except PigaError as error:
-        message = str(error).removeprefix("--column ")
+        message = message or str(error)
     return _Sheet(described, draft, list(fields.values()), message)
 
 

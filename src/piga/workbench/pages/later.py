@@ -53,9 +53,6 @@ def _plain(name: str) -> str:
     return text.encode()[:80].decode("utf-8", "ignore") or "instrument"
 
 
-# --- certificate ----------------------------------------------------------------------------------
-
-
 def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
     """The entries of a certificate file by ``table.key``."""
     result: dict[str, Any] = {}
@@ -207,9 +204,6 @@ def _issue(request: Request, sent: Sent, kept: Kept, values: dict[str, str], *, 
     return redirect(f"/jobs/{bench.jobs.start(command, title, kept.name, out).key}")
 
 
-# --- compensation and plan: forms of one command ------------------------------------------------------
-
-
 def _asked(
     request: Request, sent: Sent, title: str, words: str, fields: list[Field], link: str = ""
 ) -> tuple[dict[str, Field], Response | None]:
@@ -283,8 +277,6 @@ def _plan(request: Request, sent: Sent) -> Response:
     return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
 
 
-# --- show as text ----------------------------------------------------------------------------------
-
 _COMMANDS = {
     "plan": ("plan",),
     "truth": ("simulate",),
@@ -301,7 +293,6 @@ _COMMANDS = {
 
 
 def _commands(text: str) -> tuple[str, ...]:
-    """The commands for a file."""
     with contextlib.suppress(PigaError):
         document = toml_document(Path("the text"), text.encode())
         return next((words for table, words in _COMMANDS.items() if table in document), ())
@@ -339,7 +330,6 @@ def _text(request: Request, sent: Sent) -> Response:
 
 
 def _run(request: Request, name: str, word: str, commands: tuple[str, ...]) -> Response:
-    """Run a command on a saved file."""
     if word == "save":
         return redirect(f"/text?file={name}")
     if word not in commands:
@@ -352,11 +342,7 @@ def _run(request: Request, name: str, word: str, commands: tuple[str, ...]) -> R
     return start(request, command, word.capitalize(), name, out)
 
 
-# --- jobs --------------------------------------------------------------------------------------------
-
-
 def _job_of(request: Request) -> tuple[Bench, Job]:
-    """The job that the address names."""
     bench = bench_of(request)
     job = bench.jobs.get(request.path_params["key"])
     if job is None:

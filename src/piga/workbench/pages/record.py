@@ -51,11 +51,7 @@ _MOST_TAGS, _MOST_ROWS = 2000, 60
 _ENDED = ("failed", "stopped")
 
 
-# --- the left side --------------------------------------------------------------------------------
-
-
 def _tags_of(bench: Bench) -> dict[str, list[str]]:
-    """The tags of records."""
     with contextlib.suppress(PigaError, msgspec.MsgspecError):
         raw = bench.folder.read(bench.folder.state_room() / "tags.json", 1 << 20)
         return msgspec.json.decode(raw, type=dict[str, list[str]])
@@ -97,7 +93,6 @@ def _home(request: Request) -> Response:
 
 
 def _try_shipped(request: Request) -> Response:
-    """Copy the shipped record into the folder."""
     folder = bench_of(request).folder
     with tempfile.TemporaryDirectory(dir=folder.state_room("parts")) as part:
         run = copy_example(Path(part))
@@ -126,7 +121,6 @@ async def _take(request: Request) -> Response:
 
 
 def _tag(request: Request, sent: Sent) -> Response:
-    """Set the tags of a record."""
     bench, name = bench_of(request), sent.get("name", "")
     bench.folder.path(name)
     words = [word[:30] for word in sent.get("tags", "").replace(",", " ").split()[:8]]
@@ -141,9 +135,6 @@ def _back(request: Request, otherwise: str) -> Response:
     """Go back to the page of the record, with the terms that it shows."""
     path = "/" + request.headers.get("referer", "").partition("//")[2].partition("/")[2]
     return redirect(path if path.startswith("/record/") else otherwise)
-
-
-# --- a record -------------------------------------------------------------------------------------
 
 
 def _show(request: Request) -> Response:
@@ -216,17 +207,11 @@ def _data(request: Request) -> Response:
         span = float(query["from"]), float(query["to"]), int(query["width"])
     except (KeyError, ValueError):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page") from None
-    try:
-        table = picture(cache, query.get("keys", "").split(","), *span)
-    except (ArgumentError, OSError):
-        if read_outline(cache) is None:  # the record was changed; the page asks for its picture again
-            return Response(status_code=204)
-        raise
+    if read_outline(cache) is None:  # the record was changed; the page asks for its picture again
+        return Response(status_code=204)
+    table = picture(cache, query.get("keys", "").split(","), *span)
     headers = {"x-columns": str(table.shape[1])}
     return Response(table.astype("<f8").tobytes(), media_type="application/octet-stream", headers=headers)
-
-
-# --- what is said of a record ---------------------------------------------------------------------
 
 
 def _change(request: Request, sent: Sent) -> Response:
@@ -294,9 +279,6 @@ def _leave_out(bench: Bench, name: str, document: Any, sent: Sent) -> str:
     return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
 
 
-# --- the answer -----------------------------------------------------------------------------------
-
-
 def _trial(bench: Bench, key: str) -> Path:
     """Folder of an answer that is not kept."""
     return bench.folder.root / TRIALS / key
@@ -310,14 +292,8 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
     terms = tuple(dict.fromkeys((always, *ticked))) if ticked else usual
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
     terms_shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
-    values: dict[str, Any] = {
-        "answer": None,
-        "every": 1,
-        "fit": None,
-        "former": None,
-        "message": "",
-        "waits": "",
-    }
+    values: dict[str, Any] = {"answer": None, "every": 1, "fit": None, "former": None}
+    values |= {"message": "", "waits": ""}
     values |= {"terms": terms_shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual)}
     try:
         check_terms(terms, output=run_file.unit)
@@ -358,7 +334,6 @@ def _fitted(
 
 
 def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *options: str) -> Job:
-    """The job of an answer."""
     place = f"{TRIALS}{key}"
     command = ("calibrate", run, "--terms", ",".join(terms), "--out", place, *options)
     return bench.jobs.latest(name, place) or bench.jobs.start(command, FIT, name, place)
@@ -374,9 +349,6 @@ def _rows(answer: Kept, former: Kept | None) -> list[dict[str, Any]]:
         ghost = "" if was == value else rounded(was, u).value
         rows.append({"key": one.key, "value": value, "u": u, "unit": unit, "was": ghost})
     return rows
-
-
-# --- kept results ---------------------------------------------------------------------------------
 
 
 def _in_words(kept: Kept) -> str:
@@ -419,7 +391,6 @@ def kept_of(bench: Bench, name: str) -> Kept:
 
 
 def _show_kept(request: Request) -> Response:
-    """A kept calibration: its report and files."""
     bench, name = bench_of(request), request.path_params["name"]
     kept, values = kept_of(bench, name), left(bench, kept_name=name)
     entry = next((one for one in values["entries"] if kept in one.kept), None)
@@ -438,13 +409,11 @@ def _discard(request: Request) -> Response:
 
 
 def _undo(request: Request) -> Response:
-    """Take the last change back."""
     bench_of(request).history.undo()
     return _back(request, "/")
 
 
 def _compare(request: Request) -> Response:
-    """Two kept calibrations side by side."""
     bench = bench_of(request)
     names = list(dict.fromkeys(request.query_params.getlist("of")))[:2]
     if len(names) != 2:
