@@ -119,17 +119,12 @@ def shown(value: Any) -> str:
 
 @dataclass(frozen=True)
 class RecordName:
-    """The place of a record: its number, group, case, design inside the group, and repeat."""
+    """The place of a record: its number, group, case and repeat."""
 
     number: int
     group: CampaignGroup
     case: int
     repeat: int
-
-    @property
-    def design(self) -> int:
-        """Number of the design inside the group."""
-        return self.case - self.group.first
 
 
 @dataclass(frozen=True)

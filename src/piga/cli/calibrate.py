@@ -6,7 +6,7 @@ import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -71,6 +71,9 @@ def calibrate(
             runs, directory, inputs, plain=not summary and not any(options), force=force, as_json=as_json
         )
         return
+    from piga.calibration.summary import RunSummary
+    from piga.records.calibration.document import to_document
+
     with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
         items = _read_items(runs) if compare is None else _with_sets(_read_items(runs), compare)
         with progress("calibrating") as advance:
@@ -82,9 +85,11 @@ def calibrate(
             )  # fmt: skip
         with progress("writing the report" if report else "writing"):
             write_results(calibration, to.stage, report=report)
-            if summary:
-                _write_summaries(items, to.stage)
-        to.tell(lambda: _document(calibration), calibration.summary)
+            for item in items if summary else []:
+                if not isinstance(item, RunSummary):
+                    made = RunSummary.of(item)
+                    made.to_json(to / f"summary-{made.name}.json")
+        to.tell(lambda: to_document(calibration), calibration.summary)
 
 
 def _calibrate_set(
@@ -104,12 +109,6 @@ def _calibrate_set(
         with progress("calibrating"):
             calibration = calibrate_set_file(runs[0])
         to.show(set_document(calibration), page(calibration), brief(calibration), *names)
-
-
-def _document(calibration: Calibration) -> dict[str, Any]:
-    from piga.records.calibration.document import to_document
-
-    return to_document(calibration)
 
 
 def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
@@ -139,16 +138,6 @@ def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
 
     with progress("reading"):
         return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
-
-
-def _write_summaries(items: list[Run | RunSummary], directory: Path) -> None:
-    """Write the summary of every run whose data were read, with the options of its run file."""
-    from piga.calibration.summary import RunSummary
-
-    for item in items:
-        if not isinstance(item, RunSummary):
-            summary = RunSummary.of(item)
-            summary.to_json(directory / f"summary-{summary.name}.json")
 
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> None:
