@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import import_module
@@ -53,40 +53,34 @@ class _KeyWords:
 
 @dataclass(frozen=True)
 class KeyPlace:
-    """A key of a file: its path, the class that holds it, its type and default in words, and what it means."""
+    """A key of a file: its path, its type and default in words, and what it means."""
 
     file: str
     path: str
-    table: str
     kind: str
     default: str
     words: _KeyWords
 
 
 @lru_cache(maxsize=1)
-def key_table() -> dict[str, dict[str, _KeyWords]]:
+def _key_table() -> dict[tuple[str, str], _KeyWords]:
     """The words of every key, by class of the table and key. ``*``: keys that mean the same in several tables."""
-    table: dict[str, dict[str, _KeyWords]] = {}
+    table: dict[tuple[str, str], _KeyWords] = {}
     section = ""
     for line in files("piga.data").joinpath("keys.txt").read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
             section = line.strip("[] ")
-            table[section] = {}
         elif line.strip() and not line.startswith("#"):
             key, unit, example, sentence = re.split(r" ?\| ?", line)
-            table[section][key] = _KeyWords(sentence, unit, example)
+            table[section, key] = _KeyWords(sentence, unit, example)
     return table
 
 
-def words_of(table: str, key: str) -> _KeyWords:
-    """The words of a key of a table, by the name of its class; empty if it has none."""
-    known = key_table()
-    own = known.get(table, {})
-    if table == "PlanTable" and key not in own:
-        own = known["ScenarioTable"]
-    if table == "SpecimenTable" and key not in own:
-        own = known.get("InstrumentTable", {})
-    return own.get(key) or known["*"].get(key) or _KeyWords("", "", "")
+def words_of(struct: type, key: str) -> _KeyWords:
+    """The words of a key of a table, also of one that it extends; empty if it has none."""
+    known = _key_table()
+    names = [*(one.__name__ for one in struct.__mro__), "*"]
+    return next((known[name, key] for name in names if (name, key) in known), _KeyWords("", "", ""))
 
 
 @cache
@@ -96,19 +90,15 @@ def places_of(file: str) -> tuple[KeyPlace, ...]:
     return tuple(_below(file, getattr(import_module(module), name), "", 0))
 
 
-def _below(file: str, struct: Any, path: str, depth: int) -> list[KeyPlace]:
+def _below(file: str, struct: Any, path: str, depth: int) -> Iterator[KeyPlace]:
     import msgspec
 
-    result: list[KeyPlace] = []
     for entry in msgspec.structs.fields(struct):
-        inner = structs_in(entry.type)
-        words = words_of(struct.__name__, entry.encode_name)
         where = f"{path}{entry.encode_name}"
-        result.append(KeyPlace(file, where, struct.__name__, _type_words(entry.type), _default(entry), words))
-        if depth < _MOST_PARTS:
-            for part in inner:
-                result += _below(file, part, f"{where}.", depth + 1)
-    return result
+        words = words_of(struct, entry.encode_name)
+        yield KeyPlace(file, where, _type_words(entry.type), _default(entry), words)
+        for part in structs_in(entry.type) if depth < _MOST_PARTS else ():
+            yield from _below(file, part, f"{where}.", depth + 1)
 
 
 def _default(entry: Any) -> str:
@@ -125,21 +115,13 @@ def _default(entry: Any) -> str:
     return json.dumps(entry.default, ensure_ascii=False)
 
 
-_PLURALS = {
-    "quantity": "quantities",
-    "number": "numbers",
-    "whole number": "whole numbers",
-    "text": "texts",
-    "table": "tables",
-    "list": "lists",
+_TYPES: dict[Any, str] = {
+    str: "text",
+    float: "number",
+    int: "whole number",
+    bool: "true | false",
+    Any: "any value",
 }
-
-
-def _plural(words: str) -> str:
-    """Types in words, in the plural."""
-    if words.startswith(("list of ", "table of ")):
-        return f"{words.partition(' ')[0]}s {words.partition(' ')[2]}"
-    return " or ".join(_PLURALS.get(word, word) for word in words.split(" or "))
 
 
 def _type_words(annotation: Any) -> str:
@@ -156,16 +138,13 @@ def _type_words(annotation: Any) -> str:
         words += [_type_words(part) for part in real if not words or part not in (str, float, int)]
         return " or ".join(dict.fromkeys(words))
     if origin in (tuple, list):
-        return f"list of {_plural(_type_words(next(part for part in parts if part is not Ellipsis)))}"
+        return f"list, each a {_type_words(parts[0])}"
     if origin is dict:
-        return f"table of {_plural(_type_words(parts[-1]))}"
+        return f"table, each key a {_type_words(parts[-1])}"
     if structs_in(annotation):
         return "table"
-    if isinstance(annotation, type) and issubclass(annotation, tuple):
-        return "list"
-    return {str: "text", float: "number", int: "whole number", bool: "true | false", Any: "any value"}.get(
-        annotation, getattr(annotation, "__name__", str(annotation))
-    )
+    is_tuple = isinstance(annotation, type) and issubclass(annotation, tuple)
+    return "list" if is_tuple else _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def _collected(
 
 def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     """A log in another format than text: every column of numbers is read. Guesses go by short names without units."""
-    listed = {sheet: _names_in(path, sheet) for sheet in _sheets(path)}
+    listed = _columns_by_sheet(path)
     sheet = max(listed, key=lambda one: known_names(listed[one]))
     full = _short_names(listed[sheet], file_kind(path))
     plain, units = units_in_names(tuple(full))
@@ -257,28 +257,24 @@ def _numbers_of(
     return (numbers, units) if empty and empty[0] <= _MOST_WORDS else ({}, {})
 
 
-def _sheets(path: Path) -> list[str | None]:
-    """The sheets of a spreadsheet with several; else one without a name."""
-    error = _refusal(path, None)
-    sheets = [fix.value for fix in error.fixes if fix.key == "sheet"] if error else []
-    return sheets or [None]
+def _columns_by_sheet(path: Path) -> dict[str | None, tuple[str, ...]]:
+    """Names of all columns of a container; of a spreadsheet with several sheets by sheet.
 
+    The refusal of a column that no file has lists the columns, or the sheets.
+    """
 
-def _names_in(path: Path, sheet: str | None) -> tuple[str, ...]:
-    """Names of all columns of a container."""
-    error = _refusal(path, sheet)
-    if error is not None and not error.columns and sheet is None:
-        raise error
-    return () if error is None else error.columns
+    def refusal(sheet: str | None) -> DataError:
+        try:
+            columns_stream(path, (_NO_COLUMN,), sheet=sheet)
+        except DataError as error:
+            return error
+        return DataError(f"{path}: no columns", remedy="check that this is the log")
 
-
-def _refusal(path: Path, sheet: str | None) -> DataError | None:
-    """The answer to a request for no column: it lists the columns, or the sheets, of the file."""
-    try:
-        columns_stream(path, (_NO_COLUMN,), sheet=sheet)
-    except DataError as error:
-        return error
-    return None
+    first = refusal(None)
+    sheets: list[str | None] = [fix.value for fix in first.fixes if fix.key == "sheet"]
+    if not sheets and not first.columns:
+        raise first
+    return {sheet: refusal(sheet).columns for sheet in sheets} or {None: first.columns}
 
 
 # -- layout of a text log --------------------------------------------------------------------------------
@@ -387,25 +383,25 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     skipped = (
         "" if above == 0 else f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble"
     )
-    head_guess = (
-        Guess(False, f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}")
-        if header is None
-        else Guess(names_at, f"the first row above the numbers with {len(names)} names{skipped}")
-        if upper is None
-        else Guess(names_at, "the names stand over two rows")
-    )
-    units_guess = (
-        Guess(False, "the numbers begin below the names")
-        if units_at is None
-        else Guess(units_at + 1, "it holds units and no numbers")
-    )
+    why = f"the first row above the numbers with {len(names)} names{skipped}"
+    if header is None:
+        why = f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}"
+    elif upper is not None:
+        why = "the names stand over two rows"
+    no_units = Guess(False, "the numbers begin below the names")
     shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
-    separator = Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each")
-    facts = _facts(lines[:above])
-    marked = header is not None and _bare(lines[header]) != lines[header]
-    read_as = Guess(encoding, "")
     return TextLayout(
-        read_as, separator, decimal, head_guess, units_guess, names, units, sample, facts, marked, skip
+        encoding=Guess(encoding, ""),
+        separator=Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each"),
+        decimal=decimal,
+        header_row=Guess(names_at, why),
+        units_row=no_units if units_at is None else Guess(units_at + 1, "it holds units and no numbers"),
+        names=names,
+        units=units,
+        sample=sample,
+        facts=_facts(lines[:above]),
+        marked=header is not None and _bare(lines[header]) != lines[header],
+        skip_rows=skip,
     )
 
 

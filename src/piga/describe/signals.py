@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,8 @@ def _from_input_axis(
     draft: RunFileDraft, log: LogDescription, output: ColumnGuess, names: list[str]
 ) -> tuple[list[str], list[str]]:
     """The columns of the specific force from the input axis on, and why. The output turns with the force along X0."""
-    related = [_related(draft, log, output, name) for name in names]
+    read = [_rate_and_level(draft, log, output, log.numbers.get(name)) for name in names]
+    related = [0.0 if one is None else _correlation(*one) for one in read]
     first = int(np.argmax(np.abs(related)))
     if abs(related[first]) < _LEAST_RELATED:
         if all(np.isfinite(related)) and max(map(abs, related)) > 0.0:
@@ -162,12 +163,6 @@ def _falls(draft: RunFileDraft, why: str) -> None:
     """Turn the output round: it falls with the specific force along X0."""
     draft.document["data"]["output"]["direction"] = -1
     draft.comments.setdefault("data.output", []).append(f"direction = -1: {why}")
-
-
-def _related(draft: RunFileDraft, log: LogDescription, output: ColumnGuess, name: str) -> float:
-    """Correlation of the output rate with a column of force; 0 where the force is the same everywhere."""
-    read = _rate_and_level(draft, log, output, log.numbers.get(name))
-    return 0.0 if read is None else _correlation(*read)
 
 
 def _seconds(draft: RunFileDraft, log: LogDescription, count: int) -> Array | None:
@@ -327,12 +322,11 @@ def put_reference(
         return
     if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
         return
-    angle, speed = log.of("stand-angle")[:1], log.of("stand-speed")[:1]
-    for columns, stand in ((angle, _head), (speed, _centrifuge)):
-        held = _holds(draft, log, columns[0]) if columns and columns[0].name in log.numbers else None
+    for stand in (_HEAD, _ARM):
+        columns = [one for one in log.of(stand.column)[:1] if one.name in log.numbers]
+        held = _holds(draft, log, columns[0]) if columns else None
         if held is not None:
-            stand(draft, log, columns[0], held)
-            _site(draft, log)
+            _put_stand(draft, log, stand, columns[0], [f"{value:.9g} {columns[0].unit}" for _, value in held])
             return
 
 
@@ -384,47 +378,40 @@ def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
     )
 
 
-def _head(
-    draft: RunFileDraft, _log: LogDescription, column: ColumnGuess, held: list[tuple[str, float]]
-) -> None:
-    draft.put(
-        "stand.kind",
-        "dividing-head",
-        f"{column.name} is the angle of the stand: {column.reason}",
-        '  or: kind = "rate-table"',
-    )
-    angles = [f"{value:.9g} {column.unit}" for _, value in held]
-    draft.put(
-        "stand.positions",
-        angles,
-        f"mean of {column.name} in each of {len(held)} segments, in order",
+@dataclass(frozen=True)
+class _StandOfColumn:
+    """A stand that a column of the log gives: the kind of the column, the key of its values, and what to check."""
+
+    kind: str
+    column: str
+    words: str
+    key: str
+    remarks: tuple[str, ...] = ()
+
+
+_HEAD = _StandOfColumn(
+    "dividing-head", "stand-angle", "angle", "positions",
+    (
         "0 deg has X0 up; change the signs if the head turns the other way",
         "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)",
-    )
+    ),
+)  # fmt: skip
+_ARM = _StandOfColumn("centrifuge", "stand-speed", "speed", "rates")
 
 
-def _centrifuge(
-    draft: RunFileDraft, log: LogDescription, column: ColumnGuess, held: list[tuple[str, float]]
+def _put_stand(
+    draft: RunFileDraft, log: LogDescription, stand: _StandOfColumn, column: ColumnGuess, values: list[str]
 ) -> None:
-    draft.put(
-        "stand.kind",
-        "centrifuge",
-        f"{column.name} is the speed of the stand: {column.reason}",
-        '  or: kind = "rate-table"',
-    )
-    draft.put(
-        "stand.rates",
-        [f"{value:.9g} {column.unit}" for _, value in held],
-        f"mean of {column.name} in each of {len(held)} segments, in order",
-    )
-    draft.put("stand.down", False, "the list holds the levels up and down as they were run")
-    draft.put_fact(log.facts, "stand.radius", "m")
-
-
-def _site(draft: RunFileDraft, log: LogDescription) -> None:
-    stand = draft.document.get("stand", {})
-    if "height" not in stand and "gravity" not in stand and "stand.gravity" not in log.facts:
-        draft.comments.setdefault("stand.kind", []).append(HEIGHT)
+    why = f"{column.name} is the {stand.words} of the stand: {column.reason}"
+    draft.put("stand.kind", stand.kind, why, '  or: kind = "rate-table"')
+    mean = f"mean of {column.name} in each of {len(values)} segments, in order"
+    draft.put(f"stand.{stand.key}", values, mean, *stand.remarks)
+    if stand is _ARM:
+        draft.put("stand.down", False, "the list holds the levels up and down as they were run")
+        draft.put_fact(log.facts, "stand.radius", "m")
+    put_in = draft.document["stand"]
+    if "height" not in put_in and "gravity" not in put_in and "stand.gravity" not in log.facts:
+        draft.comments["stand.kind"].append(HEIGHT)
     draft.put_fact(log.facts, "stand.latitude", "deg")
     draft.put_fact(log.facts, "stand.gravity", "m/s^2")
 
