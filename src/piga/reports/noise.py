@@ -95,27 +95,22 @@ def remarks(noise: NoiseAnalysis) -> tuple[str, ...]:
 
 def _levels_table(noise: NoiseAnalysis) -> Table:
     one, unit = shown_output(noise.unit)
-
-    def interval(level: NoiseLevel, scale: float) -> str:
-        if level.name != "drift" and not level.seen:
-            return f"at most {short(level.upper / scale)}"
-        return f"{short(level.lower / scale)} to {short(level.upper / scale)}"
-
-    table = (
-        TableOf(noise.levels)
-        .text("level", lambda level: NAMES[level.name])
-        .number("value", lambda level: short(level.value / one) if level.seen else "not seen")
-        .number("interval of 95 %", lambda level: interval(level, one))
-        .text("unit", lambda level: pretty_unit(level_unit(level.name, unit)))
-    )
+    table = TableOf(noise.levels).text("level", lambda level: NAMES[level.name])
+    table.number("value", lambda level: short(level.value / one) if level.seen else "not seen")
+    table.number("interval of 95 %", lambda level: _interval(level, one))
+    table.text("unit", lambda level: pretty_unit(level_unit(level.name, unit)))
     if noise.scale_factor:
         gravity = noise.scale_factor * MICRO_G
-        table = (
-            table.number("as acceleration", lambda level: short(level.value / gravity) if level.seen else "")
-            .number("interval", lambda level: interval(level, gravity))
-            .text("its unit", lambda level: pretty_unit(level_unit(level.name, "ug")))
-        )
+        table.number("as acceleration", lambda level: short(level.value / gravity) if level.seen else "")
+        table.number("interval", lambda level: _interval(level, gravity))
+        table.text("its unit", lambda level: pretty_unit(level_unit(level.name, "ug")))
     return table.table()
+
+
+def _interval(level: NoiseLevel, scale: float) -> str:
+    if level.name != "drift" and not level.seen:
+        return f"at most {short(level.upper / scale)}"
+    return f"{short(level.lower / scale)} to {short(level.upper / scale)}"
 
 
 def _deviations_table(noise: NoiseAnalysis) -> Table:

@@ -547,8 +547,9 @@ def _comparison_table(document: dict[str, Any]) -> Table:
         .number("BIC above best", number("bic_above_best"))
         .number("prediction above best", lambda item: above(item[1]))
         .number("missed", number("prediction_force_error", 1.0 / MICRO_G), "µg")
-        .text("remark", lambda item: str(item[1].get("reason", "")))
     )
+    if any("reason" in one for _, one in numbered):
+        table.text("remark", lambda item: str(item[1].get("reason", "")))
     notes = (
         f"Noise weights of all sets: those found with {', '.join(document['noise_terms'])}.",
         f"{count(document['observations'])} observations.",

@@ -23,20 +23,9 @@ _OUTLINE = 50_000
 
 
 def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
-    """Rows of ``y`` that keep its envelope: lowest, highest and one gap row of each bucket, and both ends.
+    """Rows of ``y`` (n,) that keep its envelope, rising: lowest, highest and one gap row of each bucket, and both ends.
 
-    Parameters
-    ----------
-    y:
-        Values in drawing order, shape ``(n,)``; rows that are not finite are gaps of the curve.
-    limit:
-        Largest number of rows to return, at least 8. A shorter curve is returned whole.
-
-    Returns
-    -------
-    rows:
-        Increasing row numbers, at most ``limit``. The lowest and the highest value of ``y`` are among
-        them, and so is a gap row wherever a bucket holds one. Memory beyond ``y`` is one bucket.
+    Rows that are not finite are gaps of the curve. There are at most ``limit`` rows (at least 8); a shorter curve is whole.
     """
     values = np.asarray(y)
     if values.size <= limit:
