@@ -20,7 +20,7 @@ from piga.reports.render.page import (
     Tone,
     named_values,
 )
-from piga.studies import constant, five, platform, recursion
+from piga.studies import constant, platform, recursion
 from piga.studies.case import Case, Chapter, Verdict
 
 CHAPTERS: dict[str, Callable[[], Chapter]] = {
@@ -30,7 +30,7 @@ CHAPTERS: dict[str, Callable[[], Chapter]] = {
     "time-varying": recursion.run,
     "recursion": recursion.recursion,
     "compensation": recursion.compensation,
-    "five-coefficients": five.chapter,
+    "five-coefficients": recursion.five,
     "mounting": recursion.mounting,
     "redundancy-angle": platform.table,
     "drift-coupling": platform.coupling,
