@@ -45,20 +45,22 @@ class Steps:
     """
 
     def __init__(self, progress: Progress | None, total: int) -> None:
-        self._progress, self._total, self._done = progress, total, 0
+        self._progress, self._total, self._done, self._parts = progress, total, 0, 0
 
     def __call__(self, what: str) -> None:
         """The next step begins."""
         report(self._progress, self._done, self._total, what)
         self._done += 1
+        self._parts = 0
 
     def within(self, share: float, what: str) -> None:
         """A part of the present step begins; ``share`` of the step is done (0 to 1)."""
         report(self._progress, self._done - 1 + share, self._total, what)
 
-    def parts(self, number: int, what: str) -> None:
-        """Part ``number`` (from 0) of the present step begins, where nobody knows how many there are."""
-        self.within(number / (number + 1.0), what)
+    def part(self, what: str) -> None:
+        """The next part of the present step begins, where nobody knows how many there are."""
+        self.within(self._parts / (self._parts + 1.0), what)
+        self._parts += 1
 
     def finish(self) -> None:
         """All steps are done."""

@@ -412,8 +412,8 @@ def with_sources(
     unstated = units_of(run) if units else []
     plain = Design(run, fitted.request, fitted.scale_factor, fitted.servo)
     known, changes = residual_increments(plain, values)[0], []
-    for number, source in enumerate((*given, *unstated)):
-        steps.parts(number, f"adding up the budget: {source.name}")
+    for source in (*given, *unstated):
+        steps.part(f"adding up the budget: {source.name}")
         change = residual_increments(plain.of(source.moved), values)[0]
         change -= known
         changes.append(change)
