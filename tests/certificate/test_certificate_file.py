@@ -22,9 +22,9 @@ from piga.certificate.certificate_file import (
     missing_items,
     quantity_text,
     read_certificate_file,
+    verdicts,
 )
 from piga.certificate.page import certificate_html
-from piga.certificate.statements import verdicts
 from piga.errors import CalibrationError, PigaError, RunFileError
 from tests.certificate.certificate_data import budgeted, changed, complete
 from tests.reports.example import calibration

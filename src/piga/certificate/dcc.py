@@ -24,8 +24,15 @@ from urllib.parse import quote
 import msgspec
 
 from piga._version import __version__
-from piga.certificate.certificate_file import CertificateFile, ConditionTable, quantity_text, title_of
-from piga.certificate.statements import TRACEABILITY, statements, verdicts
+from piga.certificate.certificate_file import (
+    TRACEABILITY,
+    CertificateFile,
+    ConditionTable,
+    quantity_text,
+    statements,
+    title_of,
+    verdicts,
+)
 from piga.certificate.xml_signature import SIGNATURE, read_xml
 from piga.errors import DataError, PigaWarning
 from piga.records.calibration import Calibration, Coefficient

@@ -12,8 +12,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from piga.certificate.certificate_file import CertificateFile, missing_items
-from piga.certificate.statements import TRACEABILITY, Conformity, decision_rule, statements, verdicts
+from piga.certificate.certificate_file import (
+    TRACEABILITY,
+    CertificateFile,
+    Conformity,
+    decision_rule,
+    missing_items,
+    statements,
+    verdicts,
+)
 from piga.data import example_files
 from piga.errors import CalibrationError
 from piga.records.calibration import Calibration, Coefficient

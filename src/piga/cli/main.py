@@ -17,11 +17,10 @@ import typer
 from piga._version import __version__
 from piga.cli import campaign, certificate, platform, records
 from piga.cli.calibrate import calibrate, demo
-from piga.cli.check import check, convert, init, noise
+from piga.cli.check import check, convert, examples, init, methods, noise, terms
 from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
 from piga.cli.compensate import compensate
 from piga.cli.simulate import plan, reproduce, simulate
-from piga.cli.words import examples, methods, terms
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 if TYPE_CHECKING:

@@ -21,9 +21,8 @@ from scipy import stats
 from scipy.linalg import fractional_matrix_power
 
 import piga
-from piga.certificate.certificate_file import ConformityTable
+from piga.certificate.certificate_file import ConformityTable, verdicts
 from piga.certificate.page import certificate_html
-from piga.certificate.statements import verdicts
 from piga.records.calibration import Calibration
 from piga.records.calibration.document import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable

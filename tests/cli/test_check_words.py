@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from piga.cli.words import explain
+from piga.cli.check import explain
 from piga.data import example_files
 from piga.describe.draft import FILES, places_of
 from piga.records.terms import TERM_WORDS, UNITS, term_words
