@@ -56,3 +56,11 @@ def test_entries_that_the_form_does_not_show_stay_in_the_file(bench: Bench, tmp_
     ]  # fmt: skip
     (item,) = [one for one in _items(bench, {"environment": "a; b; c; d"}) if one.key == "environment"]
     assert "too many parts" in item.refusal
+
+
+def test_a_certificate_file_of_a_stranger_is_no_error(bench: Bench, tmp_path: Path) -> None:
+    text = 'laboratory = "x"\nenvironment = ["y"]\n[people]\nauthorised = 3\n'
+    (tmp_path / "certificate.toml").write_text(text, encoding="utf-8")
+    assert "environment" not in _own(bench, None)
+    made = _document(bench, {"laboratory.name": "Our Laboratory", "people.authorised.name": "A"}, whole=True)
+    assert read_certificate_file("certificate.toml", content=made).laboratory.name == "Our Laboratory"

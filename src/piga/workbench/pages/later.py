@@ -70,6 +70,13 @@ def _columns(example: Any) -> tuple[str, ...]:
     return tuple(example[0]) if isinstance(example, list) and isinstance(example[0], dict) else ()
 
 
+def _is_like(value: Any, example: Any) -> bool:
+    """True if an entry is of the kind of the example."""
+    if example is None or not isinstance(value, type(example)):
+        return False
+    return not _columns(example) or all(isinstance(row, dict) for row in value)
+
+
 def _shown(value: Any, example: Any) -> str:
     """An entry as it is typed."""
     if columns := _columns(example):
@@ -108,7 +115,7 @@ def _mine(bench: Bench) -> dict[str, Any]:
 def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
     example = _example()
-    mine = {key: value for key, value in _entries(_mine(bench)).items() if key in example}
+    mine = {key: value for key, value in _entries(_mine(bench)).items() if _is_like(value, example.get(key))}
     own = {key: example[key] for key in _USUAL}
     own |= {key: value for key, value in mine.items() if key in _USUAL or value != example[key]}
     entries = {key: _shown(value, example[key]) for key, value in own.items()}
@@ -157,7 +164,9 @@ def _document(bench: Bench, values: dict[str, str], *, whole: bool) -> str:
         text, (*path, last) = values.get(key, "").strip(), key.split(".")
         table = document
         for part in path:
-            table = table.setdefault(part, {})
+            if not isinstance(table.get(part), dict):
+                table[part] = {}
+            table = table[part]
         table.pop(last, None)
         if text or whole:
             table[last] = _typed(text, example) if text else example
@@ -221,7 +230,8 @@ def _compensation(request: Request, sent: Sent) -> Response:
     bench = bench_of(request)
     folder, of = bench.folder, request.query_params.get("of", "")
     runs = tuple((entry.name, entry.name) for entry in folder.entries() if entry.state in ("ready", "kept"))
-    kept = tuple((one.name, f"{one.name}: {one.created[:10]}") for one in left(bench)["kept"])
+    results = left(bench, kept_name=of)["kept"]
+    kept = tuple((one.name, f"{one.name}: {one.created[:10]}") for one in results)
     fields = [
         Field("run", "record", choices=runs),
         Field("of", "calibration", choices=kept, typed=of),
@@ -238,10 +248,8 @@ def _compensation(request: Request, sent: Sent) -> Response:
     asked, page = _asked(request, sent, "Compensate", words, fields if kept else [])
     if page is not None:
         return page
-    run, calibration = (
-        folder.toml(asked["run"].typed),
-        f"{kept_of(bench, asked['of'].typed).name}/{CALIBRATION}",
-    )
+    run = folder.toml(asked["run"].typed)
+    calibration = f"{kept_of(bench, asked['of'].typed).name}/{CALIBRATION}"
     out = run.with_name(f"{run.stem}-compensated.{'csv' if asked['format'].typed == 'csv' else 'parquet'}")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
@@ -280,13 +288,7 @@ def _plan(request: Request, sent: Sent) -> Response:
 _COMMANDS = {
     "plan": ("plan",),
     "truth": ("simulate",),
-    "polar": (
-        "platform navigate",
-        "platform compare",
-        "platform simulate",
-        "platform identify",
-        "platform align",
-    ),
+    "polar": tuple(f"platform {word}" for word in ("navigate", "compare", "simulate", "identify", "align")),
     "data": ("check", "check --terms", "calibrate"),
 }
 """Commands for a file by the table that tells its kind."""
@@ -303,7 +305,7 @@ def _text(request: Request, sent: Sent) -> Response:
     """A file as text, or an example to begin with; what was sent is saved, and a command is run on it."""
     bench, query = bench_of(request), request.query_params
     name, example, message = query.get("file", ""), query.get("example", ""), ""
-    examples = {one: raw for one, raw in sorted(example_files().items()) if one.endswith(".toml")}
+    examples = {one: raw for one, raw in example_files().items() if one.endswith(".toml")}
     if example and example not in examples:
         raise OutsideError(f"{example[:80]!r}: is no example", remedy="choose one of the list")
     if sent:
