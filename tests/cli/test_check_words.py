@@ -88,3 +88,4 @@ def asked(**environment: str) -> str:
 
 def test_a_shell_completes_commands() -> None:
     assert asked(_PIGA_COMPLETE="complete_bash", COMP_WORDS="piga cal", COMP_CWORD="1").split() == ["calibrate"]
+    assert "piga --install-completion" in str(invoked("completion", "bash").exception)

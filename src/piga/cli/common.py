@@ -382,6 +382,7 @@ _TYPE = re.compile(r" <(?:list\[)?(?:path|str|int|float)\]?>", re.IGNORECASE)
 _LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy"
 _STREAM = "compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json"
 _GONE = {
+    ("piga", "completion"): "let the shell complete commands with: piga --install-completion",
     ("compensate", "--resume"): "run the same command again without it",
     **dict.fromkeys(
         (("simulate", "--every"), ("navigate", "--every")), "take every N-th row of the Parquet file"
@@ -389,7 +390,7 @@ _GONE = {
     **dict.fromkeys((("ui", name) for name in ("--host", "--tls", "--password-file")), _LOOPBACK),
     **dict.fromkeys((("ui", name) for name in ("--live", "--phase")), _STREAM),
 }
-"""Options that commands had, and what takes their place."""
+"""Options that commands had, a command that piga had, and what takes their place."""
 
 
 class PlainCommand(TyperCommand):
@@ -422,6 +423,13 @@ class CommandGroup(TyperGroup):
     def get_short_help_str(self, limit: int = 0) -> str:
         """The first sentence for the list of a group, whole."""
         return super().get_short_help_str(max(limit, _LONGEST))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """The command that is named. One that is gone is refused, with what takes its place."""
+        remedy = _GONE.get((self.name or "", args[0]))
+        if remedy is not None:
+            raise ArgumentError(f"piga {args[0]} is gone", remedy=remedy)
+        return super().resolve_command(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The options. Flags are False if they are not given."""
