@@ -310,9 +310,13 @@ class Joint:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Coefficients in the order of a result: the phases of all runs behind tan_beta."""
-        phases = tuple(f"phi[run {i + 1}]" for i in range(len(self.runs)))
-        return tuple(n for name in self.runs[0].names for n in (phases if name == "phi" else (name,)))
+        """Coefficients in the order of a result: each run has its phase and its bias."""
+        count = len(self.runs)
+        return tuple(
+            n
+            for name in self.runs[0].names
+            for n in ([f"{name}[run {i + 1}]" for i in range(count)] if name in ("phi", "k0") else [name])
+        )
 
     def truths(self, calibration: piga.Calibration) -> Array:
         """True values in the order of the result, file units."""
@@ -323,7 +327,7 @@ class Joint:
         """Cramer-Rao covariance (file units): the information of the tests adds."""
         total = np.zeros((len(self.names), len(self.names)))
         for index, (test, record) in enumerate(zip(self.runs, records, strict=True)):
-            own = [f"phi[run {index + 1}]" if name == "phi" else name for name in test.names]
+            own = [f"{name}[run {index + 1}]" if name in ("phi", "k0") else name for name in test.names]
             at = [self.names.index(name) for name in own]
             total[np.ix_(at, at)] += test.information(record)
         return np.asarray(np.linalg.inv(total), dtype=np.float64)
