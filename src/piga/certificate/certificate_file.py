@@ -308,13 +308,23 @@ def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
             )
 
 
+_QUANTITY = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
+"""Number and unit."""
+
+
 def quantity_text(text: str) -> tuple[float, str]:
     """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written."""
-    number, _, unit = text.strip().partition(" ")
-    if not number:
-        raise UnitError("the value is empty", remedy="write e.g. '20.1 degC'")
-    to_si(f"{number} {unit.strip() or '1'}", unit.strip() or "1", what=text)
-    return float(number), unit.strip() or "1"
+    number, unit = written_quantity(text)
+    to_si(f"{number} {unit or '1'}", unit or "1", what=text)
+    return float(number), unit or "1"
+
+
+def written_quantity(text: str) -> tuple[str, str]:
+    """Number and unit of a quantity as text."""
+    match = _QUANTITY.fullmatch(text.strip())
+    if match is None:
+        raise UnitError(f"'{text}' does not begin with a number", remedy="write e.g. '20.1 degC'")
+    return match[1], match[2]
 
 
 def _order_of_dates(data: CertificateFile, calibration: Calibration) -> Iterator[str]:

@@ -20,6 +20,7 @@ from piga.certificate.certificate_file import (
     missing_items,
     statements,
     verdicts,
+    written_quantity,
 )
 from piga.data import example_files
 from piga.errors import CalibrationError
@@ -174,7 +175,7 @@ def _conditions_table(data: CertificateFile) -> Table:
 
 def _quantity(text: str) -> str:
     """A quantity written by a person, as it is printed."""
-    number, _, unit = text.partition(" ")
+    number, unit = written_quantity(text) if text else ("", "")
     return f"{printed(number.lower())} {pretty_unit(unit)}".strip()
 
 
