@@ -47,7 +47,7 @@ _LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
 _LEAST_TURN = 0.5
 """Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
-WHOLE = 1e-9
+_WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
 
@@ -240,7 +240,7 @@ def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
         factor = conversion_factor(unit, "rad")
         span = None if output.fold is None else output.fold / factor
     turns = 0.0 if span is None else span * factor / (2.0 * np.pi)
-    return OutputScale(factor, span, abs(turns - round(turns)) <= WHOLE, counts)
+    return OutputScale(factor, span, abs(turns - round(turns)) <= _WHOLE, counts)
 
 
 def _output(

@@ -261,13 +261,13 @@ def _resets(values: Array, step: Array, begins: NDArray[np.bool_], largest: floa
     return resets
 
 
-BLOCKS = 4000
+_BLOCKS = 4000
 """Blocks into which a column is divided, at most; an edge of a position is known to one block."""
-NOISE = 6.0
+_NOISE = 6.0
 """A block farther than this many standard deviations of a block mean from its position is outside."""
-SAME = 1e-4
+_SAME = 1e-4
 """Share of the range of the column within which it stands still, whatever its noise."""
-SHORT = 0.05
+_SHORT = 0.05
 """Positions shorter than this share of the longest one are parts of a move."""
 _LEAST_STILL = 0.2
 """Least share of the rows in positions; below it the stand is taken to move all the time."""
@@ -288,7 +288,7 @@ def positions(x: Array) -> list[tuple[int, int]]:
     rows = np.flatnonzero(np.isfinite(x))
     if rows.size < 2 * _LEAST_ROWS:
         return []
-    width = max(rows.size // BLOCKS, 1)
+    width = max(rows.size // _BLOCKS, 1)
     count = rows.size // width
     means = x[rows[: count * width]].reshape(count, width).mean(axis=1)
     tolerance = _tolerance(means, x[rows])
@@ -302,7 +302,7 @@ def positions(x: Array) -> list[tuple[int, int]]:
             start, total = k, 0.0
         total += float(means[min(k, count - 1)])
     longest = max((b - a for a, b in still), default=0)
-    kept = [_trimmed(means, a, b) for a, b in still if b - a >= SHORT * longest]
+    kept = [_trimmed(means, a, b) for a, b in still if b - a >= _SHORT * longest]
     if sum(b - a for a, b in kept) < _LEAST_STILL * count:
         return []
     return [(int(rows[a * width]), int(rows[b * width - 1]) + 1) for a, b in kept if b > a]
@@ -312,7 +312,7 @@ def _trimmed(means: Array, start: int, stop: int) -> tuple[int, int]:
     """A run without the blocks at its ends that belong to a move, by the scatter of the run itself."""
     run = means[start:stop]
     middle = float(np.median(run))
-    limit = NOISE * 1.4826 * float(np.median(np.abs(run - middle))) + 1e-12 * abs(middle)
+    limit = _NOISE * 1.4826 * float(np.median(np.abs(run - middle))) + 1e-12 * abs(middle)
     inside = np.flatnonzero(np.abs(run - middle) <= limit)
     first, last = start + int(inside[0]), start + int(inside[-1]) + 1
     return first + (first > 0), last - (last < means.size)
@@ -324,7 +324,7 @@ def _tolerance(means: Array, x: Array) -> float:
     resolution = float(np.min(steps, where=steps > 0.0, initial=np.inf))
     noise = float(np.quantile(np.abs(np.diff(means, 2)), 0.25)) / _QUARTILE  # a straight move has none
     quantum = 1.5 * resolution if noise > 0.0 and np.isfinite(resolution) else 0.0
-    return max(NOISE * noise, SAME * float(np.ptp(means)), min(quantum, 0.01 * float(np.ptp(means))))
+    return max(_NOISE * noise, _SAME * float(np.ptp(means)), min(quantum, 0.01 * float(np.ptp(means))))
 
 
 def find_positions(raw: RawColumns, name: str) -> None:

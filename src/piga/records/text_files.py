@@ -24,7 +24,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 _MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
 
-KINDS = {
+_KINDS = {
     "plan": "a plan: give it to 'piga plan'",
     "truth": "a scenario: 'piga simulate' makes a run file of it",
     "polar": "a platform scenario: give it to 'piga platform'",
@@ -173,7 +173,7 @@ def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> 
     if unknown:
         allowed = _field_names(kind, keys, raw)
         near = difflib.get_close_matches(unknown.group(1), allowed, n=1)
-        other = next((words for table, words in KINDS.items() if table in raw and table not in allowed), None)
+        other = next((words for table, words in _KINDS.items() if table in raw and table not in allowed), None)
         remedy = f"did you mean '{near[0]}'?" if near else f"allowed here: {', '.join(allowed)}"
         if other and not keys:
             remedy = f"it looks like {other}"

@@ -292,7 +292,7 @@ def moving_average(scores: Array) -> tuple[Array, Array]:
 
 # -- forecast ---------------------------------------------------------------------------------------------
 
-SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
+_SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
 """Variances of the scatter that are tried, relative to that about the line (or the mean stated variance)."""
 _SHARES = (0.3, 0.7, 1.0)
 """Shares of the scatter that walk."""
@@ -370,7 +370,7 @@ def outlook(days: Days) -> Outlook:
         unit = float(np.sum(about_line * shape)) / (n - 2) or 1.0
         shares = _SHARES if cause else (0.0,)
         for share in shares:
-            for part in SIZES * size:
+            for part in _SIZES * size:
                 still, moving = part * (1.0 - share), part * share / unit
                 factor = np.linalg.cholesky(np.diag(days.variances + still) + moving * shape)
                 chances.append(_log_likelihood(factor, design, days.means) - math.log(len(shares)))

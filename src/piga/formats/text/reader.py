@@ -92,7 +92,7 @@ class TextStream(RecordStream):
                     if rows.size:
                         self._read, self._last_filled = self._read + rows.size, int(rows[-1])
                     yield from with_rows(table.to_batches(), rows)
-                elif self._faults.total > MAX_LISTED:
+                elif self._faults.total > _MAX_LISTED:
                     raise self._refused()
         if self._faults.total and not self._mask:
             raise self._refused()
@@ -184,7 +184,7 @@ class TextStream(RecordStream):
         values: dict[str, list[Any]] = {name: [] for name in places}
         rows = []
         for row, line in enumerate(raw.split(b"\n"), self._row):
-            if faults.total > MAX_LISTED and not self._mask:
+            if faults.total > _MAX_LISTED and not self._mask:
                 break
             if not line.strip(form.blanks):
                 continue
@@ -251,7 +251,7 @@ def _row_of(wanted: list[str], head: str, after: int) -> int | None:
 
 # -- line by line: slow and thorough -------------------------------------------------------------------
 
-MAX_LISTED = 100
+_MAX_LISTED = 100
 """Most faults that one message lists all. A file that has more is refused there; only a masked one is examined to its end."""
 _FIRST_LISTED = 20
 """Faults listed of a file that has more: most often one cause, such as the decimal mark."""
@@ -286,12 +286,12 @@ class Faults:
             self.kinds.setdefault(fault.kind, [0, row])[0] += 1
             self.last_row = row
         self.total += 1
-        if len(self.listed) < MAX_LISTED:
+        if len(self.listed) < _MAX_LISTED:
             self.listed.append(fault)
 
     def error(self, path: Path, remedy: str, fixes: Sequence[Fix] = ()) -> DataError:
         """All faults, or the first of many, as one error. ``remedy`` and ``fixes`` are those of any fault."""
-        many = self.total > MAX_LISTED
+        many = self.total > _MAX_LISTED
         words = [fault.words for fault in self.listed[: _FIRST_LISTED if many else None]]
         first = next((fault for fault in self.listed if fault.hint), self.listed[0])
         columns = dict.fromkeys(fault.column for fault in self.listed if fault.column)

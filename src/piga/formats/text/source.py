@@ -30,11 +30,12 @@ _EXPORT = "check that this is the log; export it again"
 _HIGH = re.compile(rb"[\x80-\xff]+")
 
 
-def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterable[str] = ()) -> str:
+def _find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterable[str] = ()) -> str:
     """Detect the encoding of a file from its first bytes.
 
     The order is: as declared; byte-order mark; strict UTF-8; else GB18030 or cp1252, whichever shows more of the
-    ``wanted`` column names. If both show the same, the bytes decide: see :func:`looks_western`.
+    ``wanted`` column names. If both show the same, the bytes decide: most accented letters stand alone, as in ``Zähler``;
+    Chinese characters are pairs of such bytes.
     """
     if declared is not None:
         try:
@@ -59,13 +60,8 @@ def find_encoding(head: bytes, path: Path, declared: str | None, wanted: Iterabl
     best = [one for one in texts if shown[one] == max(shown.values())]
     if len(best) == 1:
         return best[0]
-    return "cp1252" if looks_western(head) else "gb18030"
-
-
-def looks_western(head: bytes) -> bool:
-    """True if most accented letters stand alone, as in ``Zähler``. Chinese characters are pairs of such bytes."""
     lengths = [len(run) for run in _HIGH.findall(head)]
-    return 2 * sum(length % 2 for length in lengths) >= len(lengths)
+    return "cp1252" if 2 * sum(length % 2 for length in lengths) >= len(lengths) else "gb18030"
 
 
 def _decoded(head: bytes, encoding: str) -> str | None:
@@ -103,7 +99,7 @@ class TextSource:
         first = next(self._blocks(MAX_HEAD + 1), b"")
         if not first or (len(first) <= MAX_HEAD and first.isspace()):
             raise refusal(path, "the file is empty", "check that the logger wrote data")
-        self.encoding = find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
+        self.encoding = _find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
         text = b"".join(self._as_utf8(iter([first[:MAX_HEAD]])))
         self._refuse_utf16(text[:256])
         self._only_cr = b"\n" not in text

@@ -106,7 +106,7 @@ def joint_factor(coefficients: Iterable[Coefficient]) -> float:
     return math.sqrt(count * float(fdtri(count, fewest, PROBABILITY)))
 
 
-LOOSE_PHASE = 0.5
+_LOOSE_PHASE = 0.5
 """A phase with a standard uncertainty [rad] above this counts as not determined."""
 
 
@@ -183,8 +183,8 @@ class Coefficient(ByValue, Shown):
 
     @property
     def determined(self) -> bool:
-        """False for a phase whose standard uncertainty is above ``LOOSE_PHASE``: the data do not determine it."""
-        return self.name != "phi" or self.std <= LOOSE_PHASE
+        """False for a phase whose standard uncertainty is above ``_LOOSE_PHASE``: the data do not determine it."""
+        return self.name != "phi" or self.std <= _LOOSE_PHASE
 
     @property
     def coverage_factor(self) -> float:

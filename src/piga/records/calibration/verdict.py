@@ -27,7 +27,7 @@ SLOW_COUNTS = "not white: the output turns by nearly whole counts from sample to
 WELL_SEPARATED, SEPARATED = 1e3, 1e6
 """Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable" (own choices). The
 condition number is the largest amplification of relative errors of the reference."""
-RMS_FROM_ONE = 0.1
+_RMS_FROM_ONE = 0.1
 """Largest deviation [1] of the whitened residual's root mean square from 1 that is called "of size one" (own choice)."""
 _USED = 0.95
 """Least share [1] of used rows that is not mentioned as small (own choice)."""
@@ -143,12 +143,6 @@ def verdict(calibration: Calibration) -> Verdict:
     )
 
 
-def whitened_rms(calibration: Calibration) -> float:
-    """Root mean square of the whitened residual: 1 if model and noise levels are right, nan if unknown."""
-    variance = calibration.diagnostics.variance
-    return math.sqrt(math.nan if variance is None else variance)
-
-
 def scale_over_nominal(calibration: Calibration) -> float:
     """Scale factor over the nominal one; 1 where it is not estimated."""
     values = {c.name: c.value for c in calibration.coefficients}
@@ -185,10 +179,10 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
 
     It is one where the noise within one position gives an interval, that of its own phase, and correlation doubles its variance.
     """
-    tests, rms = calibration.diagnostics, whitened_rms(calibration)
-    if tests.verdict is None or tests.ljung_box_probability is None or math.isnan(rms):
+    tests, variance = calibration.diagnostics, calibration.diagnostics.variance
+    if tests.verdict is None or tests.ljung_box_probability is None or variance is None or math.isnan(variance):
         return
-    chance, neighbours = tests.ljung_box_probability, tests.lag1_correlation or 0.0
+    chance, neighbours, rms = tests.ljung_box_probability, tests.lag1_correlation or 0.0, math.sqrt(variance)
     tested = f"(Ljung-Box, {'p < 1e-300' if chance < 1e-300 else f'p = {chance:.2g}'})"
     contained = "the intervals come from the scatter of the positions, which contains it"
     within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
@@ -211,7 +205,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         else:
             yield f"{what}: {contained}; {remedy}"
     size_words = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
-    if abs(rms - 1.0) <= RMS_FROM_ONE:
+    if abs(rms - 1.0) <= _RMS_FROM_ONE:
         yield f"the whitened residuals are of size one ({rms:.3f})"
     elif _by_positions(calibration):
         yield f"{size_words}: {contained}"
