@@ -59,10 +59,7 @@ class RecordStream:
         return list(self._codes)
 
     def take_schema(self, schema: Any, remedies: tuple[str, str] = REMEDIES) -> None:
-        """Take the units of an Arrow schema: those that its fields state, and seconds for times.
-
-        A schema that lacks a wanted column, or in which a number column has another type, is refused.
-        """
+        """Check the wanted columns of an Arrow schema, and take their units: those that fields state, seconds for times."""
         import pyarrow as pa
 
         for name in self.wanted:
@@ -249,11 +246,8 @@ def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def label_text(value: object) -> str:
-    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text.
-
-    A cell of MATLAB is an array of one value.
-    """
-    if isinstance(value, np.ndarray) and value.size == 1:
+    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text."""
+    if isinstance(value, np.ndarray) and value.size == 1:  # of MATLAB
         value = value.reshape(-1)[0].item()
     if value is None:
         return ""

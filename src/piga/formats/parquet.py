@@ -93,10 +93,7 @@ def write_run_parquet(run: Run, path: Path) -> None:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    """Write a table, packed, with a checksum for each page.
-
-    Only texts repeat few values: a dictionary of measured numbers would take time and space.
-    """
+    """Write a table, packed, with a checksum for each page. A dictionary of measured numbers would take time and space."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -122,11 +119,7 @@ def data_table(run: Run, file: str) -> str:
 
 
 def write_residuals(calibration: Calibration, path: Path) -> None:
-    """Write the residuals of a fresh calibration.
-
-    Columns: ``row`` (file row), ``segment``, ``t`` [s], ``psi``, ``a_x``, ``before``, ``after`` and
-    ``innovation``; for a joint calibration also ``run``.
-    """
+    """Write the residuals of a fresh calibration: the columns of :class:`piga.Residuals`."""
     residuals = calibration.residuals
     if residuals is None:
         words = "this calibration was read from a file and holds no residuals"

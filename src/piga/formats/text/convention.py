@@ -151,10 +151,11 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     at = rows.names
     if isinstance(at, int) and not isinstance(at, bool):
         if at > len(lines) or not lines[at - 1].strip():
-            words, fixes = "[data] header_row names an empty row", [Fix("data", "header_row")]
-            raise refusal(
-                path, words, "name the row with the column names, counted from 1", row=at, fixes=fixes
+            words, remedy = (
+                "[data] header_row names an empty row",
+                "name that of the column names, counted from 1",
             )
+            raise refusal(path, words, remedy, row=at, fixes=[Fix("data", "header_row")])
         return at - 1
     for index, line in enumerate(lines):
         if index >= rows.skip and line.strip() and not line.lstrip().startswith("#"):
