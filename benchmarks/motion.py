@@ -112,6 +112,52 @@ def fleet(instruments: int, samples: int) -> None:
     show(f"fleet of {instruments}, angle", times, "between='linear'")
 
 
+def jax_scan(instruments: int, samples: int) -> None:
+    """The fleet by JAX: the same step in ``vmap`` of ``lax.scan``, float64, pinned to one core; left out without JAX."""
+    try:
+        import jax
+        import jax.numpy as jnp
+    except ImportError:
+        return
+    jax.config.update("jax_enable_x64", True)
+    t = np.arange(samples) * 1e-3
+    f = np.random.default_rng(2).normal(0.0, 10.0, (samples, 3))
+
+    def one(K, tan_beta, alpha0):
+        a, y, z = K * f[:, 0], K * tan_beta * f[:, 1], K * tan_beta * f[:, 2]
+        h, pairs = jnp.diff(t), [(v[:-1], v[1:]) for v in (a, y, z)]
+        (a0, a1), (y0, y1), (z0, z1) = pairs
+        A = h / 2 * (a0 + a1) + h**2 / 12 * (y0 * z1 - z0 * y1)
+        Y = h / 2 * (y0 + y1) + h**2 / 12 * (a0 * z1 - z0 * a1)
+        Z = h / 2 * (z0 + z1) - h**2 / 12 * (a0 * y1 - y0 * a1)
+        x = (Y * Y + Z * Z - A * A) / 4
+        c = x * (1 / 2 + x * (1 / 24 + x * (1 / 720 + x / 40320)))
+        s = 0.5 * (1 + x * (1 / 6 + x * (1 / 120 + x * (1 / 5040 + x / 362880))))
+
+        def step(state, row):
+            turns, p, q = state
+            pp, pq, qp, qq = row
+            p1, q1 = p + (pp * p + pq * q), q + (qp * p + qq * q)
+            turned = q1 < 0
+            turns = turns + jnp.where(turned, jnp.where(p1 > 0, 1.0, -1.0), 0.0)
+            scale = jnp.where(turned, -1.0, 1.0) / jnp.sqrt(p1 * p1 + q1 * q1)
+            p1, q1 = p1 * scale, q1 * scale
+            return (turns, p1, q1), 2 * jnp.pi * turns + 2 * jnp.arctan2(p1, q1)
+
+        start = (0.0, jnp.sin(alpha0 / 2), jnp.cos(alpha0 / 2))
+        return jax.lax.scan(step, start, (c + s * Y, s * (A - Z), -s * (A + Z), c - s * Y))[1]
+
+    k = np.arange(instruments)
+    motions, run = (K * (1 + 1e-4 * k), np.tan(0.004 + 1e-5 * k), 0.01 * k), jax.jit(jax.vmap(one))
+    fleet = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in k[:2]]
+    ours = propagate_fleet(fleet, t, f, between="linear")[:, 1:]
+    off = float(np.abs((np.asarray(run(*motions))[:2] - ours + np.pi) % (2 * np.pi) - np.pi).max())
+    times = timed(lambda: run(*motions).block_until_ready(), instruments * samples, 5)
+    mine = RESULTS[f"fleet of {instruments}, angle"]["value"]
+    note = f"JAX {jax.__version__}, `vmap` of `lax.scan`, float64, on one core: {times[0]:.3g} ns; angles {off:.0e} rad apart"
+    show("JAX's scan over fleet", times[0] / mine, note)
+
+
 def interpolated(at: np.ndarray, t: np.ndarray, f: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, t, f[:, k]) for k in range(3)], axis=-1)
 
@@ -223,6 +269,7 @@ def start_up() -> None:
 def main() -> None:
     serial(1_000_000)
     fleet(256, 20_000)
+    jax_scan(256, 20_000)
     equal_accuracy_sampled(100.0)
     equal_accuracy_smooth(100.0)
     constant_stretch()

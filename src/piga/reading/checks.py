@@ -194,11 +194,15 @@ def unwrapped(
     def refusal(words: str, remedy: str, at: int | None = None, key: str = "") -> DataError:
         return raw.refusal(f"column '{name}': {words}", remedy, name, at=at, key=key)
 
-    bad = np.flatnonzero(((values != np.rint(values)) | (np.abs(values) >= 2.0**53)) & scale.counts)
-    if bad.size:
+    bad = (
+        np.flatnonzero((values != np.rint(values)) | (np.abs(values) >= 2.0**53)).tolist()
+        if scale.counts
+        else []
+    )
+    if bad:
         remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
-        raise refusal(f"{values[bad[0]]:.15g} is not a whole count", remedy, int(bad[0]))
-    step = changes(values)
+        raise refusal(f"{values[bad[0]]:.15g} is not a whole count", remedy, bad[0])
+    step = changes(values) if scale.counts or span is not None else values
     if span is None:
         psi = scaled(values, scale.factor)
     else:
