@@ -204,7 +204,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
         efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        cheapest=_cheapest(search, best, standard) if request.wanted else None,
+        cheapest=_cheapest(search, best) if request.wanted else None,
     )
 
 
@@ -299,15 +299,15 @@ def _value(search: _Search, prediction: Prediction) -> float:
     return float(search.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
 
 
-def _search_visits(search: _Search, name: str, duration: float, standard: tuple[Prediction, ...]) -> Prediction:
-    """Exchange search from one visit to each place, and from the standard plans whose positions are candidates.
+def _search_visits(search: _Search, name: str, duration: float, others: tuple[Prediction, ...]) -> Prediction:
+    """Exchange search from one visit to each place, and from the places of other tests that are candidates.
 
     A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Each place is then visited
     twice. If that is not enough, the longest dwell is halved, until it is.
     """
     limits, criterion = search.limits(duration), search.criterion.guarded()
     places = {c.label: k for k, c in enumerate(search.usable)}
-    starts = [[v.candidate.label for v in one.visits if v.candidate.label in places] for one in standard]
+    starts = [[v.candidate.label for v in one.visits if v.candidate.label in places] for one in others]
     begun = []
     for labels in (list(places), *filter(None, starts)):
         even = np.full(len(labels), max(limits.shortest, int(limits.total / len(labels) - limits.move)))
@@ -384,7 +384,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     return tuple(ordered)
 
 
-def _cheapest(search: _Search, best: Prediction, standard: tuple[Prediction, ...]) -> CheapestTest:
+def _cheapest(search: _Search, best: Prediction) -> CheapestTest:
     """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
     request, targets = search.request, {}
     for name, wanted in request.wanted.items():
@@ -401,7 +401,7 @@ def _cheapest(search: _Search, best: Prediction, standard: tuple[Prediction, ...
     bound = math.exp(search.bound()[0]) - request.move
     duration = max(bound, request.minimum_dwell)
     for _ in range(_ATTEMPTS):
-        plan = _search_visits(search, "cheapest", duration, standard)
+        plan = _search_visits(search, "cheapest", duration, (best,))
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
             return CheapestTest(max(bound, 0.0), plan)
