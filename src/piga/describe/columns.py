@@ -184,14 +184,8 @@ class Values:
             return cls(False, False, False, 0, int(x.size), 0.0)
         step = float(np.median(d))
         even = step > 0.0 and bool(np.quantile(np.abs(d - step), 0.9) <= 0.2 * step)
-        return cls(
-            bool((x == np.round(x)).all()),
-            bool((d > 0.0).all()),
-            even,
-            1 + int(np.count_nonzero(d)),
-            int(x.size),
-            step,
-        )
+        whole, rising = bool((x == np.round(x)).all()), bool((d > 0.0).all())
+        return cls(whole, rising, even, 1 + int(np.count_nonzero(d)), int(x.size), step)
 
     @property
     def stepped(self) -> bool:
@@ -199,6 +193,8 @@ class Values:
         return 2 <= self.holds <= min(_MOST_LEVELS, max(self.count // 4, 2))
 
 
+_OUTPUTS: set[str] = {"counts", "pulses", "angle", "rate"}
+"""Kinds of an output that turns."""
 TOLD = "as you said"
 """Reason of a column that the user named."""
 _TOLD = re.compile(r"(.+?)(?:[ -]([xyz])0?)?(?:\s*\[(.*)\])?")
@@ -218,28 +214,24 @@ def as_told(
         if no other column is the output and they do not stand still.
     """
     for name, text in told.items():
-        place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)
-        if place is None:
+        before = next((guess for guess in guesses if name in (guess.name, plain(guess.name))), None)
+        if before is None:
             raise ArgumentError(
                 f"--column {name}: there is no such column",
                 remedy=f"the columns are: {', '.join(guess.name for guess in guesses)}",
             )
-        before = guesses[place]
-        guesses = [*guesses[:place], _told(before, text), *guesses[place + 1 :]]
-        if (
-            before.name not in numbers
-            and not before.stamp
-            and guesses[place].kind in (*UNITS, "counts", "pulses")
-        ):
+        guess, place = _told(before, text), guesses.index(before)
+        unread = before.name not in numbers and not before.stamp
+        if unread and guess.kind in (*UNITS, "counts", "pulses"):
             raise ArgumentError(
                 f"--column {name}={text}: {before.reason}",
                 remedy="name a column of numbers, or repair its cells",
             )
-        kinds = {guess.kind for guess in guesses if guess is not guesses[place] and guess.name in numbers}
         if text.split("[")[0].strip() in ("angle", "rate"):
-            output = bool(kinds & {"counts", "pulses", "angle", "rate"})
-            guesses[place] = replace(_turning(guesses[place], numbers, output), reason=TOLD, alternatives=())
-        guesses[place] = replace(_with_unit(guesses[place], guesses, numbers), alternatives=())
+            kinds = {one.kind for one in guesses if one is not before and one.name in numbers}
+            guess = replace(_turning(guess, numbers, bool(kinds & _OUTPUTS)), reason=TOLD, alternatives=())
+        guesses = [*guesses[:place], guess, *guesses[place + 1 :]]
+        guesses[place] = replace(_with_unit(guess, guesses, numbers), alternatives=())
     return guesses
 
 
@@ -418,13 +410,13 @@ def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
         kind = next((kind for like, kind in stands.items() if measures(guess.unit, like)), guess.kind)
         if kind not in (*kinds, "other") and positions(x):
             return guess.but(kind, f"its unit {guess.unit}, and it stands still at times")
-        if kind == "stand-angle" and busy and not kinds & {"counts", "pulses", "angle", "rate"}:
+        if kind == "stand-angle" and busy and not kinds & _OUTPUTS:
             return guess.but("angle", f"its unit {guess.unit}, and it turns in most rows")
     if guess.kind == "other" and not guess.unit:
         nothing = "its name says nothing, but"
         if "time" not in kinds and values.rising and values.even:
             return guess.but("time", f"{nothing} it rises by even steps", "not used")
-        if not kinds & {"counts", "pulses", "angle", "rate"} and values.whole and not values.stepped and busy:
+        if not kinds & _OUTPUTS and values.whole and not values.stepped and busy:
             return guess.but("counts", f"{nothing} it holds whole numbers that change in most rows", "not used")
         if "segment" not in kinds and values.whole and values.stepped and _UNNAMED.fullmatch(guess.name):
             return guess.but("segment", f"{nothing} it holds whole numbers, each over many rows", "not used")
@@ -434,7 +426,7 @@ def _by_value(guess: ColumnGuess, x: Array, kinds: set[str]) -> ColumnGuess:
 def _direct_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
     """The output of an instrument without a gimbal: the one column with another unit beside the angle or speed of a stand."""
     kinds = {guess.kind for guess in guesses}
-    if kinds & {"counts", "pulses", "angle", "rate"} or not kinds & {"stand-angle", "stand-speed"}:
+    if kinds & _OUTPUTS or not kinds & {"stand-angle", "stand-speed"}:
         return guesses
     others = [one for one in guesses if one.kind in ("other", "force") and one.unit and one.name in numbers]
     others = [one for one in others if not parse_unit(one.unit).dimension[2]]

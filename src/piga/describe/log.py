@@ -321,10 +321,8 @@ class TextLayout:
 
 def text_layout(path: Path) -> TextLayout:
     """Guess the layout of a text log from its first lines."""
-    source = TextSource(path, None)
-    tried = [source.encoding]
-    if source.encoding in GUESSED:
-        tried = [source.encoding, *(one for one in GUESSED if one != source.encoding)]
+    first = TextSource(path, None).encoding
+    tried = sorted(GUESSED, key=lambda one: one != first) if first in GUESSED else [first]
     layouts = []
     for encoding in tried:
         try:
@@ -333,16 +331,11 @@ def text_layout(path: Path) -> TextLayout:
             continue
         layouts.append(_layout(head, path, encoding))
     best = max(layouts, key=lambda one: known_names(one.names))
-    encoding = best.encoding.value
+    others = tuple(one.encoding.value for one in layouts if one is not best)
+    why = "the bytes are not UTF-8, and the column names are words in this encoding"
     if len(tried) == 1:
-        why = "the file has a byte-order mark" if encoding not in ("utf-8", "ascii") else "all bytes are UTF-8"
-        guess = Guess(encoding, why)
-    else:
-        others = tuple(one.encoding.value for one in layouts if one is not best)
-        guess = Guess(
-            encoding, "the bytes are not UTF-8, and the column names are words in this encoding", others
-        )
-    return replace(best, encoding=guess)
+        why = "all bytes are UTF-8" if first in ("utf-8", "ascii") else "the file has a byte-order mark"
+    return replace(best, encoding=Guess(best.encoding.value, why, others))
 
 
 @dataclass(frozen=True)

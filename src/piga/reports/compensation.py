@@ -442,8 +442,6 @@ def _provenance(
         options[f"calibration of{of}"] = f"{calibration.serial}, by {made.software} on {made.created}"
         if not calibration.direct:
             options[f"phases of the calibration{of}"] = calibration.phases
-        K = short(scale_factor(calibration), 8)
-        options[f"scale factor of the indication{of}"] = f"{K} ({calibration.unit})/(m/s²)"
     for name, item in zip(names, outline.mounted, strict=False):
         if item.phase is not None:
             phase = rounded(item.phase.value, item.phase.std).concise
