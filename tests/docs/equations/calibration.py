@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -11,8 +12,7 @@ import piga
 from piga._kernels.estimation import coupling_columns, innovation_weights, servo_columns, whiten
 from piga.calibration.intervals import sandwich
 from piga.calibration.model.design import ServoState
-from piga.calibration.model.reduction import Reduction, triangle
-from piga.calibration.remarks.leverage import all_but_one, leverages
+from piga.calibration.model.reduction import triangle
 from piga.calibration.remarks.missing_terms import tested
 from piga.calibration.revolutions import ripple
 from piga.instrument.parameters import ErrorModel
@@ -89,19 +89,22 @@ def _added_variable() -> Iterator[Pair]:
 
 @equation("calibration-leverage")
 def _leverage() -> Iterator[Pair]:
-    """Leverage of segments and variance without one, from information matrices and from the library."""
-    random = np.random.default_rng(13)
-    rows = [random.standard_normal((7, 4)) for _ in range(4)]
-    information = [part[:, :3].T @ part[:, :3] for part in rows]
-    total = sum(information)
-    parts = []
-    for part in rows:
-        parts.append(Reduction.empty(("a", "b", "c")))
-        parts[-1].add(part[:, :3], part[:, 3])
-    yield [np.trace(A @ np.linalg.inv(total)) for A in information], leverages(parts), 1e-12
-    left = [np.diag(rest.solve()[1]) for rest in all_but_one(parts)]
-    literal = [np.diag(np.linalg.inv(total - A)) for A in information]
-    yield 1 - np.diag(np.linalg.inv(total)) / literal, 1 - np.diag(np.linalg.inv(total)) / left, 1e-11
+    """A direct instrument in six positions: from its samples, and from its calibration."""
+    random, segment = np.random.default_rng(13), np.repeat(np.arange(6), 40)
+    x = np.array([1.0, 0.6, 0.1, -0.3, -0.8, -1.0])[segment]
+    run = piga.Run.from_arrays(
+        0.1 * np.arange(240) + 5.0 * segment, 0.6 * (x + 2e-3) + 1e-5 * random.standard_normal(240), np.outer(x, [1.0, 0.0, 0.0]),
+        scale_factor="0.6 mA/g", kind="rate", unit="mA", segment=segment, units={"f": "g"},
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = piga.calibrate(run, ["scale_factor", "k0"]).diagnostics.leverage
+    rows = np.column_stack([x, np.ones(240)])
+    information = [rows[segment == s].T @ rows[segment == s] for s in range(6)]
+    inverse = np.linalg.inv(sum(information))
+    yield [np.trace(A @ inverse) for A in information], [row.leverage for row in table.values()], 1e-9
+    left = np.array([np.linalg.inv(sum(information) - A)[0, 0] for A in information])
+    yield 1.0 - inverse[0, 0] / left, [row.share["scale_factor"] for row in table.values()], 1e-9
 
 
 @equation("intervals-mean")
