@@ -164,7 +164,8 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
         plot.panel("day", f"log {quantity}")
         for model, run in comparison.models.items():
             label, amplitude = model_name(model), getattr(run.lines, which)[name]
-            plot.marked(run.lines.day, amplitude / scale, label, _MODEL_ROLES[model])
+            dashed = model == _DASHED
+            plot.marked(run.lines.day, amplitude / scale, label, _MODEL_ROLES[model], dashed=dashed)
             if model in WITH_THEORY[which] and run.theory is not None:
                 theory = getattr(run.theory, which)[name]
                 plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
