@@ -328,35 +328,6 @@ def compensate(
     CalibrationError
         If the calibration is of another instrument, or if the phase of a segment is missing.
     """
-    stream = _stream_of(
-        record, calibration, method=method, phase=phase, uncertainty=uncertainty, flags=flags, limits=limits,
-        max_age_days=max_age_days, force=force,
-    )  # fmt: skip
-    rows = empty_rows(record.size, uncertainty, flags)
-    report(progress, 0, record.size, "compensating")
-    for part in _pieces_of(record, stream):
-        stream.push_into(
-            _columns_of(record, part),
-            Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums),
-        )
-        report(progress, part.stop, record.size, "compensating")
-    return Compensated(
-        record.t,
-        *rows[:4],
-        record.serial,
-        stream.method,
-        stream.notes + stream.remarks(),
-        stream.u_velocity(),
-        made_from=(record, calibration),
-    )
-
-
-def _stream_of(
-    record: Run, calibration: Calibration, *, method: str | None = None, phase: Phase | None = None,
-    uncertainty: bool = True, flags: bool = True, limits: Limits | None = None, max_age_days: float | None = None,
-    force: bool = False,
-) -> Compensator:  # fmt: skip
-    """The compensator of a record; arguments and errors are those of :func:`compensate`."""
     check_serial(record, calibration, force)
     check_phase_kept(record, calibration, phase)
     typical = (record.median_step or 1.0) if record.kind == "rate" else None
@@ -375,7 +346,23 @@ def _stream_of(
             "the calibration has the term k2v, but the record has no vibration",
             remedy="add [data] vibration = { column = '...', unit = 'g' }",
         )
-    return stream
+    rows = empty_rows(record.size, uncertainty, flags)
+    report(progress, 0, record.size, "compensating")
+    for part in _pieces_of(record, stream):
+        stream.push_into(
+            _columns_of(record, part),
+            Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums),
+        )
+        report(progress, part.stop, record.size, "compensating")
+    return Compensated(
+        record.t,
+        *rows[:4],
+        record.serial,
+        stream.method,
+        stream.notes + stream.remarks(),
+        stream.u_velocity(),
+        made_from=(record, calibration),
+    )
 
 
 def _pieces_of(record: Run, stream: Compensator) -> Iterator[slice]:

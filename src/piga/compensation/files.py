@@ -62,7 +62,8 @@ def compensate_set(
             remedy="give one record for each instrument",
         )
     for record, item in zip(records, instruments, strict=True):
-        _check_member(record, item, force)
+        check_serial(record, item.calibration, force)
+        check_phase_kept(record, item.calibration, item.phase, alone=False)
     first, rates = records[0], records[0].kind == "rate"
     stream = SetCompensator(
         [replace(item, segment=item.segment or r.labels[0]) for r, item in zip(records, instruments, strict=True)],
@@ -92,19 +93,6 @@ def compensate_set(
         )
         report(progress, part.stop, first.size, "compensating")
     return replace(whole, notes=stream.notes + stream.remarks(), u_velocity=stream.u_velocity())
-
-
-def _check_member(record: Run, item: Mounted, force: bool) -> None:
-    """Refuse a record for which the calibration of its instrument is not valid.
-
-    Raises
-    ------
-    CalibrationError
-        If the record is of another instrument (unless ``force``), or lost the zero of its angle. In a set one phase must
-        be valid for the whole record.
-    """
-    check_serial(record, item.calibration, force)
-    check_phase_kept(record, item.calibration, item.phase, alone=False)
 
 
 def _check_together(records: Sequence[Run]) -> None:
@@ -228,7 +216,8 @@ def read_member(path: Path, item: Mounted, force: bool) -> Run:
         As :func:`piga.read_run` and :func:`compensate_set`.
     """
     record = read_run(path, need_reference=False)
-    _check_member(record, item, force)
+    check_serial(record, item.calibration, force)
+    check_phase_kept(record, item.calibration, item.phase, alone=False)
     return replace(record, f=np.zeros((0, 3)), segment_index=record.segment_index[:0])
 
 

@@ -306,28 +306,27 @@ def check_method(method: str | None, calibration: Calibration) -> str:
     return method
 
 
-FLAGS = {
-    "no_increment": at.NO_INCREMENT,
-    "locked": at.LOCKED,
-    "near_critical": at.NEAR_CRITICAL,
-    "out_of_range": at.OUT_OF_RANGE,
-    "temperature": at.TEMPERATURE,
-    "age": at.AGE,
-    "coarse": at.COARSE,
-    "fault": at.FAULT,
-    "vibration": at.VIBRATION,
+_FLAGS = {
+    "no_increment": (
+        at.NO_INCREMENT,
+        "a stretch begins here: the row has no increment, and its dv is set to 0",
+    ),
+    "locked": (
+        at.LOCKED,
+        "|a_x| < a_t tan(beta): the output stands still, and a_x is known only to the dead zone",
+    ),
+    "near_critical": (at.NEAR_CRITICAL, "|a_x| below 1.25 a_t tan(beta): next to the dead zone"),
+    "out_of_range": (at.OUT_OF_RANGE, "specific force outside the calibrated range"),
+    "temperature": (at.TEMPERATURE, "temperature outside the calibrated range"),
+    "age": (at.AGE, "the calibration is older than allowed"),
+    "coarse": (at.COARSE, "the output turned by more than 1 rad since the row before"),
+    "fault": (at.FAULT, "the instruments of the set contradict each other"),
+    "vibration": (
+        at.VIBRATION,
+        "vibration near the Nyquist frequency: an interval hides part of it; above 7 times it u_ax contains too little",
+    ),
 }
+FLAGS = {name: bit for name, (bit, _) in _FLAGS.items()}
 """Bit of each flag."""
-
-MEANING = {
-    "no_increment": "a stretch begins here: the row has no increment, and its dv is set to 0",
-    "locked": "|a_x| < a_t tan(beta): the output stands still, and a_x is known only to the dead zone",
-    "near_critical": "|a_x| below 1.25 a_t tan(beta): next to the dead zone",
-    "out_of_range": "specific force outside the calibrated range",
-    "temperature": "temperature outside the calibrated range",
-    "age": "the calibration is older than allowed",
-    "coarse": "the output turned by more than 1 rad since the row before",
-    "fault": "the instruments of the set contradict each other",
-    "vibration": "vibration near the Nyquist frequency: an interval hides part of it; above 7 times it u_ax contains too little",
-}
+MEANING = {name: words for name, (_, words) in _FLAGS.items()}
 """Meaning of each flag."""

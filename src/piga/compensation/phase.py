@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,21 +15,12 @@ from piga.records.calibration import Calibration
 from piga.records.run import Run
 from piga.results import Array
 
-
-@dataclass(frozen=True)
-class _PowerUpSettings:
-    """Limits for a phase identified at power-up (own choices)."""
-
-    least_turn: float = 2.0 * math.pi
-    """Least turn of the output [rad] before a phase is given."""
-    servo_rounds: int = 4
-    """Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to
-    coupling, 1e-2 at most."""
-    useless: float = 0.5
-    """Largest standard uncertainty [rad] of a phase that is given."""
-
-
-_POWER_UP = _PowerUpSettings()
+_LEAST_TURN = 2.0 * math.pi
+"""Least turn of the output [rad] before a phase is given (own choice, like the next two)."""
+_SERVO_ROUNDS = 4
+"""Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to coupling, 1e-2 at most."""
+_USELESS = 0.5
+"""Largest standard uncertainty [rad] of a phase that is given."""
 
 
 class PhaseFinder:
@@ -99,7 +89,7 @@ class PhaseFinder:
 
     def phase(self) -> Phase | None:
         """The phase from all samples so far; None before one full revolution."""
-        if self._turned < _POWER_UP.least_turn:
+        if self._turned < _LEAST_TURN:
             return None
         # The rate column is h itself; the coupling columns contain the factor K tan_beta a_t, so p and q are cos and sin.
         matrix = self._normal[:3, :3]
@@ -108,7 +98,7 @@ class PhaseFinder:
             return None
         covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
         p, q = 1.0, 0.0
-        for _ in range(_POWER_UP.servo_rounds):  # cos and sin of twice the phase times what turns twice as fast
+        for _ in range(_SERVO_ROUNDS):  # cos and sin of twice the phase times what turns twice as fast
             twice = 2.0 * math.atan2(q, p)
             right = self._normal[:3] @ np.array([0, 0, 0, math.sin(twice), -math.cos(twice), 1.0])
             _, p, q = covariance @ right
@@ -145,7 +135,7 @@ def identify_phase(record: Run, calibration: Calibration, duration: float) -> Ph
             f"{record.source}: the output does not turn once in the first {duration:g} s",
             remedy="take a longer time at rest",
         )
-    if not phase.std < _POWER_UP.useless:
+    if not phase.std < _USELESS:
         raise CalibrationError(
             f"{record.source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
             remedy="take a longer time at rest, or an attitude with more transverse specific force",

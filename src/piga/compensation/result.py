@@ -174,8 +174,39 @@ def write_rows(
     return rows, {name: count for name, count in flagged.items() if count}
 
 
+class _Rows(Result, Plotted, Tabular):
+    """What the rows of one instrument and of a set share: times, flags, and the columns of the written file."""
+
+    t: Array
+    flags: NDArray[np.int32]
+
+    def heading(self) -> str:
+        """The first line in a notebook."""
+        return "Compensated record"
+
+    def _subject(self) -> ModuleType:
+        return doors().shown_compensation()
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.t.size)
+
+    def flagged(self, name: str) -> NDArray[np.bool_]:
+        """Rows with the flag ``name`` (see :data:`piga.compensation.FLAGS`)."""
+        return (self.flags & FLAGS[name]) != 0
+
+    def columns(self) -> dict[str, NDArray]:
+        """The columns of the written file, in order."""
+        raise NotImplementedError
+
+    def table_columns(self) -> dict[str, Column]:
+        """The columns of the written file with their units."""
+        return with_units(self.columns())
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Compensated(Result, Plotted, Reported, Tabular):
+class Compensated(_Rows, Reported):
     """Specific force and velocity increments of one instrument; arrays share their length.
 
     ``plot()`` shows specific force, correction and uncertainty against time.
@@ -216,13 +247,6 @@ class Compensated(Result, Plotted, Reported, Tabular):
     u_velocity: float = math.nan
     made_from: tuple[Run, Calibration] | None = field(default=None, compare=False)
 
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return "Compensated record"
-
-    def _subject(self) -> ModuleType:
-        return doors().shown_compensation()
-
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the compensation."""
         facts = [
@@ -240,19 +264,10 @@ class Compensated(Result, Plotted, Reported, Tabular):
             facts.append(("flags", ", ".join(f"{n} {name}" for name, n in raised.items() if n) or "none"))
         return facts + [("note", note) for note in self.notes]
 
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return int(self.t.size)
-
     def rows(self, part: slice) -> Compensated:
         """Some rows."""
         columns = {name: getattr(self, name)[part] for name in ("t", "ax", "dv", "u_ax", "flags")}
         return replace(self, **columns, u_velocity=math.nan, made_from=None)
-
-    def flagged(self, name: str) -> NDArray[np.bool_]:
-        """Rows with the flag ``name`` (see :data:`piga.compensation.FLAGS`)."""
-        return (self.flags & FLAGS[name]) != 0
 
     def velocity(self) -> Array:
         """Running sum of ``dv`` [m/s]; it does not include the time between stretches."""
@@ -261,10 +276,6 @@ class Compensated(Result, Plotted, Reported, Tabular):
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
         return _columns_of(self.t, self.ax, self.dv, self.flags, self.u_ax)
-
-    def table_columns(self) -> dict[str, Column]:
-        """The columns of the written file with their units."""
-        return with_units(self.columns())
 
     def table_notes(self) -> tuple[str, ...]:
         """The notes on ``u_ax``."""
@@ -351,7 +362,7 @@ class LockedStarts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CompensatedSet(Result, Plotted, Tabular):
+class CompensatedSet(_Rows):
     """Specific force and velocity increments in the common frame; arrays share their length n.
 
     ``plot()`` shows specific force in the common frame, and its uncertainty.
@@ -373,37 +384,17 @@ class CompensatedSet(Result, Plotted, Tabular):
     notes: tuple[str, ...] = ()
     u_velocity: Array = field(default_factory=lambda: np.zeros(0))
 
-    def _subject(self) -> ModuleType:
-        return doors().shown_compensation()
-
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return "Compensated record"
-
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return int(self.t.size)
-
     def rows(self, part: slice) -> CompensatedSet:
         """Some rows."""
         columns = {name: getattr(self, name)[part] for name in ("t", "f", "dv", "u_f", "residual", "flags")}
         each = {name: getattr(self, name)[:, part] for name in ("misfit", "each")}
         return replace(self, **columns, **each, u_velocity=np.zeros(0))
 
-    def flagged(self, name: str) -> NDArray[np.bool_]:
-        """Rows with the flag ``name``."""
-        return (self.flags & FLAGS[name]) != 0
-
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
         columns = _columns_of(self.t, self.f, self.dv, self.flags, self.u_f)
         flags = columns.pop("flags", self.flags)
         return columns | {"residual": self.residual, "flags": flags}
-
-    def table_columns(self) -> dict[str, Column]:
-        """The columns of the written file with their units."""
-        return with_units(self.columns())
 
 
 def _columns_of(
