@@ -14,8 +14,6 @@ rate keeps its digits. Derived in docs/theory/motion.
 
 from __future__ import annotations
 
-from typing import overload
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -63,25 +61,7 @@ def closed_form_turns(
     return shaped[0], shaped[1], shaped[2]
 
 
-@overload
 def closed_form(
-    inst: Instrument, t: ArrayLike, f: ArrayLike, *, base_rate: ArrayLike | None = None
-) -> tuple[Array, Array]: ...
-
-
-@overload
-def closed_form(
-    inst: Instrument, t: ArrayLike, a_x: float, a_Y: float, a_Z: float, *, base_rate: ArrayLike | None = None
-) -> tuple[Array, Array]: ...
-
-
-@overload
-def closed_form(
-    inst: Instrument, t: ArrayLike, *, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
-) -> tuple[Array, Array]: ...
-
-
-def closed_form(  # type: ignore[misc]  # the first place holds f, or a_x of three scalars
     inst: Instrument,
     t: ArrayLike,
     f: ArrayLike | None = None,

@@ -31,22 +31,7 @@ _ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
 def effective_rates(
     inst: Instrument, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
 ) -> tuple[float, float, float]:
-    """``a = u_x``, ``y = tan(beta) u_Y``, ``z = tan(beta) u_Z`` [rad/s] with ``u = K f - Omega``.
-
-    Parameters
-    ----------
-    inst:
-        The instrument.
-    a_x, a_Y, a_Z:
-        Specific force in base axes [m/s^2].
-    base_rate:
-        Inertial rate of the base in base axes, shape (3,) [rad/s]; None: the base does not turn.
-
-    Raises
-    ------
-    ArgumentError
-        If a value is not finite or the base rate does not have three components.
-    """
+    """``a = u_x``, ``y = tan(beta) u_Y``, ``z = tan(beta) u_Z`` [rad/s] with ``u = K f - Omega``."""
     omega = _base_rate(base_rate)
     for name, value in (("a_x", a_x), ("a_Y", a_Y), ("a_Z", a_Z), ("base_rate", omega.sum())):
         if not math.isfinite(value):
@@ -206,11 +191,6 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = No
     """``values`` as contiguous float64, a read-only view if they already are.
 
     Kernels are compiled for read-only input, so that any array finds the compiled code.
-
-    Raises
-    ------
-    ArgumentError
-        If the values are not numbers or the shape differs; the message names both shapes.
     """
     try:
         array = np.ascontiguousarray(values, dtype=np.float64).reshape(np.shape(values))
@@ -228,13 +208,7 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = No
 
 
 def time_array(name: str, values: ArrayLike, least: int = 1) -> Array:
-    """Times as a float64 vector of at least ``least`` entries; order is checked by the kernels.
-
-    Raises
-    ------
-    ArgumentError
-        If there are too few times, or they are not a vector.
-    """
+    """Times as a float64 vector of at least ``least`` entries; order is checked by the kernels."""
     times = float_array(name, values)
     if times.ndim != 1 or times.size < least:
         raise ArgumentError(
@@ -244,13 +218,7 @@ def time_array(name: str, values: ArrayLike, least: int = 1) -> Array:
 
 
 def require_finite(name: str, array: Array) -> None:
-    """Refuse a value that is not a finite number.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the value and the first index.
-    """
+    """Refuse a value that is not a finite number."""
     if np.isfinite(array).all():
         return
     index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -262,13 +230,7 @@ def require_finite(name: str, array: Array) -> None:
 
 
 def require_increasing(name: str, times: Array) -> None:
-    """Refuse times that do not increase.
-
-    Raises
-    ------
-    ArgumentError
-        Naming the two times and indices.
-    """
+    """Refuse times that do not increase."""
     stuck = np.flatnonzero(~(np.diff(times) > 0.0))
     if stuck.size:
         k = int(stuck[0]) + 1
@@ -279,13 +241,7 @@ def require_increasing(name: str, times: Array) -> None:
 
 
 def explain(times: Array, first: int, **inputs: Array) -> NoReturn:
-    """Say what made a kernel stop in the block that starts at ``first``.
-
-    Raises
-    ------
-    ArgumentError
-        Always; names argument and index.
-    """
+    """Say what made a kernel stop in the block that starts at ``first``."""
     require_finite("t", times)
     require_increasing("t", times)
     for name, array in inputs.items():

@@ -74,13 +74,7 @@ def _sampled_input(
     temperature: ArrayLike | None = None,
     between: Between = "linear",
 ) -> MotionSamples:
-    """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order.
-
-    Raises
-    ------
-    ArgumentError
-        If an input is empty or has another shape, or a single sample is not finite.
-    """
+    """Check shapes and prepare the input of :func:`propagate`; nothing is copied that is float64, C-order."""
     if between not in ("smooth", "linear"):
         raise ArgumentError(f"between: {between!r} is not known", remedy="use 'smooth' or 'linear'")
     times = time_array("t", t)
@@ -121,13 +115,7 @@ def _initial_state(alpha0: float) -> Array:
 
 
 def _run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array) -> None:
-    """Fill ``alpha`` and ``rate`` (each (n,) or empty).
-
-    Raises
-    ------
-    ArgumentError
-        If a sample is not finite or a time does not increase.
-    """
+    """Fill ``alpha`` and ``rate`` (each (n,) or empty)."""
     with np.errstate(all="ignore"):
         status = propagate_samples(_initial_state(alpha0), alpha, rate, record)
     _require(record, status)

@@ -75,15 +75,8 @@ class Electronics:
                 f"electronics counter_bits: {self.counter_bits} is outside 1 to 62",
                 remedy="leave it out if the counter never wraps",
             )
-        levels = (
-            "angle_noise",
-            "angle_random_walk",
-            "bias_random_walk",
-            "bias_flicker",
-            "bias_markov",
-            "clock_jitter",
-        )
-        for name in levels:
+        walks, levels = ("angle_random_walk", "bias_random_walk"), ("bias_flicker", "bias_markov")
+        for name in ("angle_noise", *walks, *levels, "clock_jitter"):
             if getattr(self, name) < 0.0:
                 raise ArgumentError(
                     f"electronics {name}: {getattr(self, name):g} is negative", remedy="use zero or more"

@@ -187,7 +187,13 @@ def run_twin(
     torques = np.zeros(force.shape) if noise is None else float_array("noise", noise, force.shape)
     first = _start(p, start, times[0], force[0], rate[0], accuracy)
     states, error, steps = _run(p, times, force, rate, torques, first, accuracy)
-    return _motion(p, times, states, torques[:, 2], error, steps)
+    signal = states[:, 1] - p.pick_off_null + torques[:, 2]
+    e = np.clip(signal, -p.pick_off_range, p.pick_off_range)
+    asked = -(p.proportional_gain * e + p.integral_gain * states[:, 4] + p.rate_gain * states[:, 3])
+    locked = (np.abs(signal) <= p.pick_off_range) & (np.abs(asked) <= p.torque_limit)
+    torque = np.clip(asked, -p.torque_limit, p.torque_limit)
+    alpha, beta, rate, tilt_rate, integral = (np.ascontiguousarray(column) for column in states.T)
+    return TwinMotion(times, alpha, beta, rate, tilt_rate, integral, torque, locked, error, steps)
 
 
 def _start(
@@ -206,24 +212,3 @@ def _start(
     if start != "slow-manifold":
         raise ArgumentError(f"start: '{start}' is unknown", remedy="choose slow-manifold or transient")
     return slow_manifold(p, t, p.alpha0, f, base_rate, accuracy=accuracy)
-
-
-def _motion(p: TwinParameters, t: Array, x: Array, noise: Array, error: float, steps: int) -> TwinMotion:
-    signal = x[:, 1] - p.pick_off_null + noise
-    e = np.clip(signal, -p.pick_off_range, p.pick_off_range)
-    asked = -(p.proportional_gain * e + p.integral_gain * x[:, 4] + p.rate_gain * x[:, 3])
-    locked = (np.abs(signal) <= p.pick_off_range) & (np.abs(asked) <= p.torque_limit)
-    torque = np.clip(asked, -p.torque_limit, p.torque_limit)
-    alpha, beta, rate, tilt_rate, integral = (np.ascontiguousarray(column) for column in x.T)
-    return TwinMotion(
-        t=t,
-        alpha=alpha,
-        beta=beta,
-        rate=rate,
-        tilt_rate=tilt_rate,
-        integral=integral,
-        torque=torque,
-        locked=locked,
-        local_error=error,
-        steps=steps,
-    )
