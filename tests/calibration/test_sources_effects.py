@@ -7,15 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import piga
+from piga.calibration import RunSummary
 from piga.calibration.fit import Fit
 from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_all_sources
+from piga.calibration.model.design import given_servo
 from piga.calibration.model.request import make_request
 from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.sources import sources, with_units
 from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
+from piga.records.distribution import GivenParameter
 from piga.records.run import Run
+from tests.calibration.made.servo_data import head, levels, recorded
 from tests.calibration.made.synthetic import record
 
 
@@ -77,3 +82,31 @@ def test_one_pass_contains_the_servo_and_the_scatter_of_the_positions() -> None:
         replace(run, output=output), "scale_factor, tan_beta, k0, servo, servo_damping", "shared"
     )
     assert fit.noise.scatter > 0.0
+
+
+@pytest.mark.parametrize("own", ["scale_factor, k0", "scale_factor, tan_beta, k0, servo, servo_damping"])
+@pytest.mark.parametrize("more", ["", ", servo, servo_damping"])
+def test_a_given_servo_moves_stored_summaries_as_the_runs(own: str, more: str) -> None:
+    """The fit of a summary may lack the phase, or estimate the servo: its sources act as in the joint fit all the same."""
+    given = (
+        GivenParameter("integral_gain", 3000.0, 60.0, "N m/(rad s)"),
+        GivenParameter("damping", 0.1, 0.03, "N m s/rad"),
+        GivenParameter("angular_momentum", 0.1, 0.0, "kg m^2/s"),
+    )
+    true = given_servo(replace(recorded(head(), seconds=1.0), servo=given))
+    runs = [
+        replace(recorded(forces, noise=1e-5, s=true["servo"], d=true["servo_damping"]), servo=given)
+        for forces in (head(), levels((-8, -4, 4, 8)))
+    ]
+    terms = f"scale_factor, tan_beta, k0{more}"
+    stored = [RunSummary.of(run, own, name=f"run {k}") for k, run in enumerate(runs, start=1)]
+    result = piga.calibrate(stored, terms)
+    rows = {e.source: e for e in result.budget if e.source.startswith("servo ") and "integral" in e.source}
+    assert bool(rows) != bool(more)
+    number = [source.name for source in stored[0].sources].index("servo integral gain")
+    moved = piga.calibrate([replace(s, known_servo=s.sources[number].known_servo) for s in stored], terms)
+    for row in rows.values():
+        for c, other in zip(result.coefficients, moved.coefficients, strict=True):
+            expected = other.value - c.value
+            difference = row.contributions[c.key] - expected
+            assert abs(difference) < 0.06 * abs(expected) + 2e-3 * c.std, (c.key, difference, expected, c.std)

@@ -152,6 +152,22 @@ class MergedRuns:
             if name not in self.shared[index]
         }
 
+    def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
+        """Changes of ``known_servo`` by each source of a run that moves it, by its column.
+
+        The fit that made the column may have estimated the servo, or had another phase.
+        """
+        summary, known = self.summaries[index], self.known_servo(index)
+        return {
+            source_column(number): {
+                name: summary.inner_scale_factor * size - known[name]
+                for name, size in source.known_servo
+                if name in known
+            }
+            for number, source in enumerate(summary.sources)
+            if source.known_servo
+        }
+
     def parts(self, state: ServoState | None) -> list[Reduction]:
         """Summaries of all phase groups; with a state, combined at it."""
         parts: list[Reduction] = []
@@ -224,12 +240,12 @@ class MergedRuns:
         """The positions of one run, with the columns of the fit and those ``beside`` them."""
         summary, first = self.summaries[index], self.first_group(index)
         wanted, known = (*self.wanted(index), *beside), self.known_servo(index)
-        stored = self.stored(index, beside)
+        stored, moved = self.stored(index, beside), self._moved_servo(index)
         held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
         result = []
         for position, part in zip(summary.positions, held, strict=True):
             group = first + position.group
-            chosen = part if state is None else at_state(part, wanted, state, group, known)
+            chosen = part if state is None else at_state(part, wanted, state, group, known, moved)
             name = f"{summary.name}:{position.name}" if summary.name else position.name
             result.append(replace(position, part=chosen, group=group, run=index, name=name))
         return result

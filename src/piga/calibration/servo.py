@@ -9,7 +9,7 @@ tan_beta sin(phi)`` determine the phase. The phase does not depend on their comm
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +41,12 @@ _NAMED_SHARE = 0.05
 
 
 def at_state(
-    part: Reduction, wanted: Names, state: ServoState, group: int, known: dict[str, float] | None = None
+    part: Reduction,
+    wanted: Names,
+    state: ServoState,
+    group: int,
+    known: dict[str, float] | None = None,
+    moved: Mapping[str, dict[str, float]] | None = None,
 ) -> Reduction:
     """The summary of a phase group, with the columns without a phase combined to the terms of the servo.
 
@@ -55,12 +60,19 @@ def at_state(
         State and phase group that give the phase.
     known:
         K times the given coefficients (SI); they are subtracted from the observation.
+    moved:
+        Changes of these by the sources of Type B, by the column of each source; it is made anew from them.
     """
-    return part.mixed(wanted, mixture(part.names, wanted, state, state.phases[group], known))
+    return part.mixed(wanted, mixture(part.names, wanted, state, state.phases[group], known, moved))
 
 
 def mixture(
-    names: Names, wanted: Names, state: ServoState, phase: float, known: dict[str, float] | None = None
+    names: Names,
+    wanted: Names,
+    state: ServoState,
+    phase: float,
+    known: dict[str, float] | None = None,
+    moved: Mapping[str, dict[str, float]] | None = None,
 ) -> Array:
     """Matrix (m + 1, wanted + 1) from columns without a phase, and the observation behind them, to wanted columns."""
     there = [name for name in PHASELESS if name in names]
@@ -69,7 +81,10 @@ def mixture(
     terms, turn = state.term_rows(phase), state.phase_row(phase)[of]
     matrix = np.zeros((len(names) + 1, len(wanted) + 1))
     matrix[-1, -1] = 1.0
+    subtracted = {name: (column, moved[name]) for column, name in enumerate(wanted) if moved and name in moved}
     for column, name in enumerate(wanted):
+        if name in subtracted:
+            continue
         if name in terms:
             matrix[at, column] = terms[name][of]
             continue
@@ -78,8 +93,9 @@ def mixture(
             matrix[at, column] -= np.sin(phase) * turn
         elif name == "q":
             matrix[at, column] += np.cos(phase) * turn
-    for name, value in (known or {}).items():
-        matrix[at, -1] -= value * terms[name][of]
+    for column, sizes in (*subtracted.values(), (-1, known or {})):
+        for name, value in sizes.items():
+            matrix[at, column] -= value * terms[name][of]
     return matrix
 
 

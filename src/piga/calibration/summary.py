@@ -420,14 +420,14 @@ def with_sources(
     names = tuple(source_column(number) for number in range(len(changes)))
     extra = Extra(names, lambda block: np.array([change[block.start : block.stop] for change in changes]))
     parts = reduce_positions(design, mode, summary.noise, extra=extra if changes else None)
-    moved_by = [_source_summary(source, summary.noise) for source in given]
-    moved_by += [replace(_source_summary(source, summary.noise), stated=False) for source in unstated]
+    moved_by = [_source_summary(source, design.run, summary.noise) for source in given]
+    moved_by += [replace(_source_summary(one, design.run, summary.noise), stated=False) for one in unstated]
     positions = repetitions(design, summary.noise, parts)
     return replace(summary, positions=positions, sources=tuple(moved_by), stand_sources=listed(design.run))
 
 
-def _source_summary(source: Source, noise: Noise) -> SourceSummary:
-    servo = given_servo(source.moved) if "servo" in source.fields else {}
+def _source_summary(source: Source, run: Run, noise: Noise) -> SourceSummary:
+    servo = given_servo(replace(run, servo=source.fields["servo"])) if "servo" in source.fields else {}
     return SourceSummary(
         source.name,
         source.value,
