@@ -21,7 +21,7 @@ from piga.records.calibration.coefficient import changes
 from piga.records.distribution import GivenParameter
 from piga.records.run import Run
 from tests.calibration.made.servo_data import head, levels, recorded
-from tests.calibration.made.synthetic import record
+from tests.calibration.made.synthetic import at_rest, record
 
 
 def fit_of(run: Run, terms: str, phases: str) -> JointFit:
@@ -110,3 +110,20 @@ def test_a_given_servo_moves_stored_summaries_as_the_runs(own: str, more: str) -
             expected = other.value - c.value
             difference = row.contributions[c.key] - expected
             assert abs(difference) < 0.06 * abs(expected) + 2e-3 * c.std, (c.key, difference, expected, c.std)
+
+
+@pytest.mark.parametrize("own", ["scale_factor, k0", "scale_factor, k0, k0_T"])
+def test_a_thermometer_moves_stored_summaries_by_the_terms_of_the_joint_fit(own: str) -> None:
+    """Each run has one temperature, so that its own fit has no k0_T."""
+    runs = []
+    for seed, warmth in enumerate((0.0, 4.0, 9.0)):
+        run = record(np.random.default_rng(seed), seconds=10.0, rate=5.0)
+        output = run.output + 8.7e-3 / 9.8 * 1e-4 * warmth * run.t
+        held = {"temperature": np.full(run.size, 293.15 + warmth), "uncertainty": at_rest(temperature="0.5 K")}
+        runs.append(replace(run, output=output, **held))
+    stored = [RunSummary.of(run, own, name=f"run {k}") for k, run in enumerate(runs, start=1)]
+    result = piga.calibrate(stored, "scale_factor, tan_beta, k0, k2, m_Y, k0_T, k1_T", per_run=[])
+    row = next(e.contributions for e in result.budget if e.source.startswith("temperature"))
+    for name, by in (("k0", "k0_T"), ("scale_factor", "k1_T")):
+        factor = result["scale_factor"].value if by == "k1_T" else 1.0
+        assert row[name] == pytest.approx(-0.5 * result[by].value * factor, rel=1e-2), name

@@ -67,6 +67,8 @@ _SERVO_SOURCE = "servo "
 """Prefix of the names of sources that belong to the instrument."""
 _COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
+_WARMED = {"k0_T": "k0", "k1_T": "scale_factor"}
+"""Terms of temperature, and the column that each becomes by one kelvin more."""
 
 
 @dataclass(frozen=True)
@@ -585,12 +587,21 @@ def effects(fit: JointFit, *, stated: bool) -> Iterator[tuple[SourceSummary, Arr
 
 def _scores(fit: JointFit, index: int) -> Array:
     """Products of the columns of the parameters and of each source of a run: (positions, parameters, sources)."""
-    names = tuple(source_column(number) for number in range(len(fit.summaries[index].sources)))
-    result = []
-    for position in fit.positions(index, fit.servo, (RATE, *names)):
+    summary, wanted = fit.summaries[index], fit.wanted(index)
+    names = tuple(source_column(number) for number in range(len(summary.sources)))
+    # the fit that made a stored summary may lack the terms of temperature: its source moves those of this fit
+    stored = not fit.live[index] and set(_WARMED) & set(wanted)
+    warm = [number for number, source in enumerate(summary.sources) if stored and source.name == "temperature"]
+    beside = tuple(dict.fromkeys(_WARMED.values())) if warm else ()
+    values, m, result = fit.column_values(index), len(wanted), []
+    for position in fit.positions(index, fit.servo, (RATE, *names, *beside)):
         rows = position.part.without((RATE,), position.variance).factor
-        m = rows.shape[1] - 1 - len(names)
-        result.append(fit.estimate.jacobians[position.group].T @ rows[:, :m].T @ rows[:, m:-1])
+        columns, others = rows[:, m : m + len(names)], rows[:, m + len(names) : -1]
+        own = dict(zip(wanted, values[position.group - fit.first_group(index)], strict=True))
+        for number in warm:
+            products = [own.get(term, 0.0) * others[:, beside.index(base)] for term, base in _WARMED.items()]
+            columns[:, number] = -summary.sources[number].value * np.sum(products, axis=0)
+        result.append(fit.estimate.jacobians[position.group].T @ rows[:, :m].T @ columns)
     return np.array(result)
 
 
