@@ -211,7 +211,7 @@ class Compensator:
         self.push_into(columns, rows)
         return Compensated(columns["t"], *rows[:4], self.serial, self.method, self.notes)
 
-    def push_into(self, columns: Mapping[str, Any], rows: Rows) -> None:
+    def push_into(self, columns: Mapping[str, NDArray], rows: Rows) -> None:
         """Compensate the next samples, arrays of float64, into arrays that exist."""
         before, rows = self._state.copy(), rows._replace(sums=self._sums.copy())
         output, angle = columns["output"], columns.get("angle", NONE)
