@@ -10,9 +10,10 @@ import pytest
 from benchmarks import verdict
 
 import piga
+from piga.calibration import RunSummary
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
-from tests.calibration.made.servo_data import TRUTH, head, recorded
+from tests.calibration.made.servo_data import TRUTH, head, levels, recorded
 
 TERMS = ["scale_factor", "tan_beta", "k0", "k2", "m_Y"]
 SOURCE = "servo that is not named"
@@ -131,3 +132,15 @@ def test_k2o_leaves_the_servo_in_u_of_k():
     result = piga.calibrate(verdict.head(1, verdict.Fault(servo=4e-6 / G0**2)), [*verdict.TERMS, "k2o"])
     assert any(row.source == SOURCE for row in result.budget)
     assert abs(result["scale_factor"].value - verdict.K * G0) < result["scale_factor"].expanded
+
+
+def test_stored_summaries_have_the_servo_that_is_not_named_as_the_runs() -> None:
+    runs = [recorded(forces, s=0.0, d=0.0, noise=1e-5) for forces in (head(), levels((-8, -4, 4, 8)))]
+    terms = "scale_factor, tan_beta, k0, k2, m_Y"
+    stored = [RunSummary.of(run, terms, name=f"run {k}") for k, run in enumerate(runs, start=1)]
+    sizes = []
+    for items in (runs, stored, runs[:1], stored[:1]):
+        rows = {e.source: e.contributions["scale_factor"] for e in piga.calibrate(items, terms).budget}
+        sizes.append(rows[SOURCE])
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.01)
+    assert sizes[3] == pytest.approx(sizes[2], rel=0.01)

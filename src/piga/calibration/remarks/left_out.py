@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piga.calibration.joint import JointFit
+from piga.calibration.model.design import STIFFNESS_COLUMNS
 from piga.calibration.remarks.missing_terms import CUBIC, Candidates, tested, with_term
 from piga.calibration.sources import across_squared
 from piga.calibration.uncertainty import budget_row
@@ -198,12 +199,17 @@ def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
 
 
 def _softest_share(fit: JointFit) -> float:
-    """Relative change of K by the softest servo, from the records; 0 without any."""
+    """Relative change of K by the softest servo, from the records, or without any from the summaries; 0 without their columns."""
     weighted, total = 0.0, 1e-300
     for run in (live.run for live in fit.live if live):
         for part in spans(run.size):
             along = run.f[part, 0] ** 2
             weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
+    names = ("scale_factor", STIFFNESS_COLUMNS[0])
+    for position in () if any(fit.live) else (p for summary in fit.summaries for p in summary.positions):
+        if set(names) <= set(position.part.names):
+            force, bent = position.part.select(names).factor[:, :2].T
+            weighted, total = weighted + float(force @ bent), total + float(force @ force)
     return _SOFTEST * si_factor("servo") * weighted / total
 
 
