@@ -247,7 +247,7 @@ def later_noise(misses: Misses, noise: Noise, flags: Flags, parameters: int) -> 
     d, h = misses.d[None, :].copy(), misses.h.copy()
     d[:, flags == 2], h[flags == 2] = 0.0, 0.0
     merge_rows(d, h, flags == 1)
-    shown = np.abs(_thinned(Whitener("increments", noise, 1).apply(d, h)[0][h > 0.0]))
+    shown = np.abs(_thinned(Whitener("increments", noise, 1).column(d[0], h)[h > 0.0]))
     core = float(np.median(shown)) / NORMAL_MEDIAN * widened if shown.size else 1.0
     factor = min(max(core, 0.2), 1.0) ** 2
     return Noise(noise.white * factor, noise.walk * factor)
