@@ -26,8 +26,10 @@ _GAP = 1e-6
 """Excess of the largest directional derivative over its value at the optimum that ends the search."""
 _ROUNDS = 2000
 """Most steps towards the best mixture."""
-_SLOWEST = 0.1
-"""Least power of the derivative in a step towards the best mixture."""
+_LARGEST_POWER = 9.0
+"""Power of the criterion above which the first steps towards the best mixture are not smaller."""
+_SLOWER = 0.7
+"""Factor on the power of the derivative in the steps after one that made the mixture worse."""
 _MIXED = 1e-6
 """Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
 _RIDGE = 1e-13
@@ -105,15 +107,18 @@ def least_value(candidates: Array, criterion: Criterion) -> tuple[float, float]:
     """
     matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
     shares = np.full(matrices.shape[0], 1.0 / matrices.shape[0])
-    bound, largest = -np.inf, np.inf
+    bound, largest, last, power = -np.inf, np.inf, np.inf, 1.0 / (1.0 + min(criterion.power, _LARGEST_POWER))
     for _ in range(_ROUNDS):
         total = np.tensordot(shares, matrices, 1)
         derivatives = np.einsum("ij,nji->n", criterion.sensitivity(total), matrices)
         largest = min(largest, float(derivatives.max()))
-        bound = max(bound, float(criterion.values(total) - np.log(derivatives.max())))
+        value = float(criterion.values(total))
+        bound = max(bound, value - float(np.log(derivatives.max())))
         if largest - 1.0 < _GAP:
             break
-        shares *= derivatives ** max(1.0 / (1.0 + criterion.power), _SLOWEST)
+        power *= _SLOWER if value > last else 1.0
+        last = value
+        shares *= derivatives**power
         shares /= shares.sum()
     return bound, largest
 
