@@ -248,7 +248,7 @@ def struct_text(struct: type[msgspec.Struct]) -> str:
     if config.tag is not None:
         rows.append(f'| `{config.tag_field}` | Kind of the table. | `"{config.tag}"` | needed | |')
     for field in msgspec.structs.fields(struct):
-        words = words_of(struct.__name__, field.encode_name)
+        words = words_of(struct, field.encode_name)
         unit = "" if words.unit in ("", "own", "1") else f", {words.unit}"
         rows.append(
             f"| `{field.encode_name}` | {cell(words.sentence)} | {type_text(field.type)}{unit} | {field_default(field)} "
