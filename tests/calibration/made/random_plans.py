@@ -29,7 +29,7 @@ def problem(seed: int) -> tuple[piga.Run, dict[str, float]]:
     inst = piga.Instrument(
         scale_factor="0.8884 rad/s/g", beta=float(np.arctan(truth["tan_beta"])), alpha0=truth["phi"]
     )
-    alpha = piga.propagate(inst, t, f + np.array([truth["k0"] * G0, 0.0, 0.0]), between="linear")
+    alpha = piga.propagate(inst, t, f + np.array([truth["k0"] * G0, 0.0, 0.0]))
     output = alpha - truth["phi"] + 2e-5 * rng.standard_normal(t.size)
     run = piga.Run.from_arrays(
         t,
