@@ -19,7 +19,7 @@ from typing import Any
 
 from PIL import Image
 
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import Page, Table
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.records.calibration import Amount
+from piga.records.calibration.coefficient import Amount
 from piga.records.calibration.document import calibration_to_bytes
 from piga.units import G0, parse_unit
 from tests.calibration.made.independent import Bench, head

@@ -16,7 +16,7 @@ from piga.calibration.summary import RunSummary
 from piga.calibration.weights import Noise
 from piga.errors import RunFileError
 from piga.planning.plan import plan_test
-from piga.records.calibration import Amount
+from piga.records.calibration.coefficient import Amount
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable
 from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head

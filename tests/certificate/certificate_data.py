@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from piga.certificate.certificate_file import CertificateFile, read_certificate_file
-from piga.records.calibration import Amount, BudgetEntry
+from piga.records.calibration.coefficient import Amount, BudgetEntry
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "certificate.toml"
 SCHEMAS = Path(__file__).parents[3] / "shared" / "reference" / "dcc"

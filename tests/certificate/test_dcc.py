@@ -21,8 +21,8 @@ from piga.calibration.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
 from piga.certificate.dcc import DIGITS, G, dsi_unit, power_of_g, to_dsi
 from piga.errors import DataError, PigaError
-from piga.records.calibration import Coefficient, Diagnostics
-from piga.records.calibration.coefficient import joint_factor
+from piga.records.calibration.coefficient import Coefficient, joint_factor
+from piga.records.calibration.diagnostics import Diagnostics
 from piga.records.calibration.document import to_document
 from piga.records.terms import UNITS, si_factor, unit_of
 from tests.certificate.certificate_data import SCHEMAS, budgeted, changed, complete

@@ -86,7 +86,7 @@ def test_calibrations_that_do_not_say_enough() -> None:
         piga.compensate(run, calibration_of(many, dict.fromkeys(many, 1e-7)))
     joint = calibration_of(CAL, serial="A")
     own = [replace(c, run="east") if c.name == "k0" else c for c in joint.coefficients]
-    record = piga.records.calibration.RunRecord(
+    record = piga.records.calibration.calibration.RunRecord(
         "east", "east.csv", None, "shared", True, 9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, joint.quality
     )
     joint = replace(joint, coefficients=tuple(own), runs=(record,))

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 import piga
 from piga.instrument.parameters import ErrorModel
 from piga.records import Calibration, Provenance, Quality, Run
-from piga.records.calibration import Coefficient, Diagnostics
+from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.diagnostics import Diagnostics
 from piga.records.terms import si_factor, unit_of
 from piga.units import G0
 

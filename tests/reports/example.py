@@ -6,18 +6,9 @@ import math
 
 import numpy as np
 
-from piga.records.calibration import (
-    Amount,
-    BudgetEntry,
-    Calibration,
-    Coefficient,
-    Diagnostics,
-    Event,
-    Provenance,
-    Quality,
-    Residuals,
-    SegmentSummary,
-)
+from piga.records.calibration.calibration import Calibration, Provenance
+from piga.records.calibration.coefficient import Amount, BudgetEntry, Coefficient
+from piga.records.calibration.diagnostics import Diagnostics, Event, Quality, Residuals, SegmentSummary
 from piga.units import ARCSEC, G0
 
 K = 0.888506608 / G0

@@ -10,7 +10,7 @@ import pytest
 import piga
 from piga.data import copy_example
 from piga.errors import ArgumentError
-from piga.records.calibration import Amount
+from piga.records.calibration.coefficient import Amount
 from piga.stand import (
     DividingHead,
     LoggedProfile,

@@ -6,7 +6,9 @@ import datetime as dt
 
 import numpy as np
 
-from piga.records.calibration import BudgetEntry, Calibration, Coefficient, Diagnostics, Provenance, Quality
+from piga.records.calibration.calibration import Calibration, Provenance
+from piga.records.calibration.coefficient import BudgetEntry, Coefficient
+from piga.records.calibration.diagnostics import Diagnostics, Quality
 from piga.records.terms import unit_of
 
 START = dt.datetime(2020, 3, 2, 9, 0, tzinfo=dt.UTC)

@@ -26,7 +26,8 @@ from piga.calibration.summary import RunSummary
 from piga.calibration.uncertainty import budget_of, combined, share_of_type_a, with_given_servo
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.records.calibration import BudgetTable, Calibration
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import BudgetTable
 from piga.records.run import Run
 from piga.records.terms import term_names
 from piga.threads import one_thread

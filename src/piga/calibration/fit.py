@@ -42,7 +42,7 @@ from piga.calibration.weights import (
     with_scatter,
 )
 from piga.errors import CalibrationError
-from piga.records.calibration import Outlier
+from piga.records.calibration.diagnostics import Outlier
 from piga.records.run import Run
 from piga.results import Array
 

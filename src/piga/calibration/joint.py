@@ -48,8 +48,7 @@ from piga.calibration.uncertainty import stated_scatter
 from piga.calibration.weights import RATE
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import SILENT, Steps
-from piga.records.calibration import Coefficient, StandSource
-from piga.records.calibration.coefficient import changes
+from piga.records.calibration.coefficient import Coefficient, StandSource, changes
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_terms
 from piga.results import Array

@@ -32,7 +32,7 @@ from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.records.arrays import largest_size
-from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.run import Run
 from piga.records.terms import (
     SERVO_TERMS,

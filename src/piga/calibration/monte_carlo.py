@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from piga.calibration.joint import JointFit
 from piga.calibration.model.design import Design
 from piga.calibration.uncertainty import Budget
-from piga.records.calibration import BudgetEntry, Coefficient, MonteCarlo, MonteCarloCheck
-from piga.records.calibration.coefficient import coverage_factor, short_way
+from piga.records.calibration.coefficient import BudgetEntry, Coefficient, coverage_factor, short_way
+from piga.records.calibration.diagnostics import MonteCarlo, MonteCarloCheck
 from piga.records.terms import si_factor
 from piga.results import Array
 

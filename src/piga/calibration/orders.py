@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.calibration import Residuals
+from piga.records.calibration.diagnostics import Residuals
 from piga.records.terms import integral_unit
 from piga.results import Result
 

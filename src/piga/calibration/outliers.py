@@ -21,7 +21,7 @@ from piga.calibration.model.solution import solve
 from piga.calibration.weights import Noise, Whitener, residual_increments
 from piga.errors import DataError
 from piga.records.arrays import largest_size
-from piga.records.calibration import Event, Outlier
+from piga.records.calibration.diagnostics import Event, Outlier
 from piga.records.run import Run
 from piga.results import Array
 

@@ -37,17 +37,14 @@ from piga.calibration.residuals import (
 )
 from piga.calibration.sources import gravity_in_words
 from piga.calibration.summary import LiveRun, provenance, residual_figures
-from piga.records.calibration import (
-    BudgetTable,
-    Calibration,
-    Coefficient,
+from piga.records.calibration.calibration import Calibration, Provenance, RunRecord
+from piga.records.calibration.coefficient import BudgetTable, Coefficient
+from piga.records.calibration.diagnostics import (
     Diagnostics,
     Event,
     MissingTerm,
-    Provenance,
     Quality,
     Residuals,
-    RunRecord,
     SegmentScatter,
     SegmentSummary,
 )

@@ -16,7 +16,7 @@ import numpy as np
 from piga.calibration.fit import fit_run
 from piga.calibration.model.request import Request
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration import Event, Outlier
+from piga.records.calibration.diagnostics import Event, Outlier
 from piga.records.run import Run
 from piga.results import Array
 

@@ -32,8 +32,9 @@ from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.output import check_results
 from piga.progress import SILENT, Steps
 from piga.records.arrays import largest_size
-from piga.records.calibration import Outlier, Provenance, Quality, Residuals, SegmentSummary, StandSource
-from piga.records.calibration.coefficient import Level, Number
+from piga.records.calibration.calibration import Provenance
+from piga.records.calibration.coefficient import Level, Number, StandSource
+from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.run_file import Draw

@@ -15,8 +15,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from piga.calibration.sources import Source, across_squared, sources, with_units
-from piga.records.calibration import Amount, BudgetEntry, BudgetTable, Calibration, Coefficient
-from piga.records.calibration.coefficient import welch_satterthwaite
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import (
+    Amount,
+    BudgetEntry,
+    BudgetTable,
+    Coefficient,
+    welch_satterthwaite,
+)
 from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array

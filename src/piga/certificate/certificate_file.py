@@ -18,7 +18,8 @@ from typing import Literal
 import msgspec
 
 from piga.errors import UnitError
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.terms import SERVO_TERMS, meaning_of
 from piga.records.text_files import read_toml
 from piga.units import to_si

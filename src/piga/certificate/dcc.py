@@ -35,8 +35,8 @@ from piga.certificate.certificate_file import (
 )
 from piga.certificate.xml_signature import SIGNATURE, read_xml
 from piga.errors import DataError, PigaWarning
-from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coefficient import PROBABILITY, joint_factor
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import PROBABILITY, Coefficient, joint_factor
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.units import parse_unit
 

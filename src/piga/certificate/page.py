@@ -24,7 +24,8 @@ from piga.certificate.certificate_file import (
 )
 from piga.data import example_files
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.calibration.tables import (
     DESCRIBED,

@@ -80,7 +80,7 @@ def issue(
     from piga.certificate.page import certificate_html, is_draft, write_certificate
     from piga.certificate.xml_signature import sign_xml, written
     from piga.output import check_results
-    from piga.records.calibration import Calibration
+    from piga.records.calibration.calibration import Calibration
     from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
     from piga.records.limits import read_whole
 

@@ -513,7 +513,7 @@ def _files(sources: list[Path]) -> list[Path]:
 
 def _entry(path: Path) -> HistoryEntry:
     """A file as a record. Its path is the id; the time is that of the evaluation."""
-    from piga.records.calibration import Calibration
+    from piga.records.calibration.calibration import Calibration
 
     calibration = Calibration.from_json(path)
     created = calibration.provenance.created

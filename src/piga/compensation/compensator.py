@@ -28,7 +28,7 @@ from piga.compensation.result import Compensated, LockedStarts, note_on_vibratio
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
 from piga.records.arrays import empty, spans
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
 from piga.results import Array

@@ -19,7 +19,7 @@ from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
 from piga.records import read_toml
 from piga.records.arrays import integrated_rate
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
 from piga.records.run_file import Quantity

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation import terms as kernels
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration, Coefficient
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.terms import harmonic, si_factor
 from piga.results import Array
 from piga.terms import THERMAL_TERMS

@@ -11,7 +11,7 @@ from piga._kernels.estimation import coupling_columns, innovation_weights, white
 from piga.compensation.model import Phase, make_model
 from piga.errors import CalibrationError
 from piga.records.arrays import integrated_rate
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.run import Run
 from piga.results import Array
 

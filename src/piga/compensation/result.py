@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.progress import Progress, report
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.run import Run
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular, number_column

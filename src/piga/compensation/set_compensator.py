@@ -20,7 +20,7 @@ from piga.compensation.model import Limits, Model, Phase, age_flag, make_model, 
 from piga.compensation.result import CompensatedSet, LockedStarts, note_on_vibration, notes_on
 from piga.errors import ArgumentError
 from piga.records.arrays import empty
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.results import Array, Result
 
 _ORTHOGONAL = 1e-6

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, Fix, PigaError, Where, install_command
-from piga.records.calibration import Event
+from piga.records.calibration.diagnostics import Event
 from piga.records.limits import first_line, open_regular
 from piga.results import Column, arrow_table
 

@@ -30,7 +30,7 @@ from piga.formats.text.convention import (
     units_in_names,
 )
 from piga.formats.text.reader import Fault, Faults, missing_hint
-from piga.records.calibration import Event
+from piga.records.calibration.diagnostics import Event
 from piga.records.limits import check_unpacked, open_regular
 
 # -- HDF5 ----------------------------------------------------------------------------------------------

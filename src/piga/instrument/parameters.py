@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaWarning
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.terms import unit_of
 from piga.terms import MOTION, PRODUCTS, THERMAL_TERMS
 from piga.units import si_or_text

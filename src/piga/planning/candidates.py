@@ -38,8 +38,7 @@ from piga.calibration.weights import (
 from piga.errors import CalibrationError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
 from piga.planning.plan_file import PlanRequest, request_of
-from piga.records.calibration import Coefficient
-from piga.records.calibration.coefficient import coverage_factor
+from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, si_factor
 from piga.results import Array, Result

@@ -31,7 +31,7 @@ from piga.reading.checks import (
 )
 from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
 from piga.records.arrays import empty, largest_size, norms, scaled, stored
-from piga.records.calibration import Event, Quality
+from piga.records.calibration.diagnostics import Event, Quality
 from piga.records.run import Run, TimeBase, drop_repeats, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in

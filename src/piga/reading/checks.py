@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Where
 from piga.reading.columns import RawColumns
 from piga.records.arrays import changes, largest_size, norms, scaled, stored
-from piga.records.calibration import Event
+from piga.records.calibration.diagnostics import Event
 from piga.records.run import TimeBase
 from piga.records.run_file import LeftOutTable
 from piga.results import Array

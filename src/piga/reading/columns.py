@@ -21,7 +21,7 @@ from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, scaled, stored, taken
-from piga.records.calibration import Event, counted
+from piga.records.calibration.diagnostics import Event, counted
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable

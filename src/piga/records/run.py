@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
 from piga.records.arrays import changes, stored
-from piga.records.calibration import Event, Quality, counted
+from piga.records.calibration.diagnostics import Event, Quality, counted
 from piga.records.distribution import GivenParameter
 from piga.records.run_file import (
     EstimationTable,

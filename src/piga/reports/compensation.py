@@ -19,7 +19,8 @@ from piga.compensation.model import MEANING
 from piga.compensation.result import Inputs
 from piga.errors import CalibrationError
 from piga.records.arrays import changes, middles
-from piga.records.calibration import Calibration, Residuals
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.diagnostics import Residuals
 from piga.records.run import Run
 from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import coefficient_table, judgement, quality_table, scale_factor, sentence

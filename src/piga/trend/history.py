@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.records.calibration import Calibration, Coefficient
-from piga.records.calibration.coefficient import TYPE_A_ONLY, coverage_factor
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient, coverage_factor
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn

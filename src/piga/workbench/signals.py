@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.formats.parquet import data_table
-from piga.records.calibration import Event
+from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile
 from piga.records.text_files import toml_text

@@ -17,7 +17,8 @@ from piga.calibration.model.identifiability import (
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout
 from piga.errors import IdentifiabilityError
-from piga.records.calibration import Coefficient, SegmentScatter
+from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.diagnostics import SegmentScatter
 from piga.units import G0
 
 

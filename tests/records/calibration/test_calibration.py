@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.terms import UNITS, si_factor
 from piga.units import G0, parse_unit
 

@@ -23,7 +23,7 @@ from scipy.linalg import fractional_matrix_power
 import piga
 from piga.certificate.certificate_file import ConformityTable, verdicts
 from piga.certificate.page import certificate_html
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import calibration_to_bytes, to_document
 from piga.records.run_file import UncertaintyTable
 from piga.reports.calibration.page import page as calibration_page

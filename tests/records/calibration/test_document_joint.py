@@ -13,8 +13,9 @@ import pytest
 
 from piga.errors import CalibrationError
 from piga.formats.parquet import write_residuals
-from piga.records.calibration import Calibration, Coefficient, Outlier, Quality, Residuals, RunRecord
-from piga.records.calibration.coefficient import coverage_factor
+from piga.records.calibration.calibration import Calibration, RunRecord
+from piga.records.calibration.coefficient import Coefficient, coverage_factor
+from piga.records.calibration.diagnostics import Outlier, Quality, Residuals
 from tests.reports.example import calibration
 
 

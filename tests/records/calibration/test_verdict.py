@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import piga
-from piga.records.calibration import BudgetEntry, Diagnostics, Event, Quality
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import TYPE_A_ONLY, BudgetEntry
+from piga.records.calibration.diagnostics import Diagnostics, Event, Quality
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.calibration.verdict import SEPARATED, WELL_SEPARATED, verdict
 from piga.reports.calibration.page import page as calibration_page

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piga.calibration.orders import residual_angles
-from piga.records.calibration import Amount
+from piga.records.calibration.coefficient import Amount
 from piga.reports.calibration.figures import calibration_figures
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.calibration.tables import budget_tables, residual_quantity

@@ -10,8 +10,8 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout, layout_of, merged_groups
 from piga.errors import IdentifiabilityError
-from piga.records.calibration import Coefficient, SegmentScatter
-from piga.records.calibration.coefficient import short_way
+from piga.records.calibration.coefficient import Coefficient, short_way
+from piga.records.calibration.diagnostics import SegmentScatter
 from piga.records.run import Run
 from piga.records.terms import harmonic, unit_of
 from piga.results import Array

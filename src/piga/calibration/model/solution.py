@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
-from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.terms import GYRO, si_factor, unit_of
 from piga.results import Array
 

@@ -21,8 +21,8 @@ from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.summary import LiveRun
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions, residual_increments, with_scatter
-from piga.records.calibration import Coefficient, Creep
-from piga.records.calibration.diagnostics import CREEP_ALARMS
+from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.diagnostics import CREEP_ALARMS, Creep
 from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0

@@ -27,8 +27,7 @@ from piga.calibration.remarks.missing_terms import CUBIC, Candidates, tested, wi
 from piga.calibration.sources import across_squared
 from piga.calibration.uncertainty import budget_row
 from piga.records.arrays import spans
-from piga.records.calibration import BudgetEntry, Coefficient, StandSource
-from piga.records.calibration.coefficient import changes, coverage_factor
+from piga.records.calibration.coefficient import BudgetEntry, Coefficient, StandSource, changes, coverage_factor
 from piga.records.terms import GYRO, SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 

@@ -15,7 +15,8 @@ import numpy as np
 from piga.calibration.intervals import inverse_root, parameter_rows, without_rate
 from piga.calibration.joint import JointFit
 from piga.calibration.outliers import NORMAL_MEDIAN
-from piga.records.calibration import Coefficient, SegmentLeverage
+from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.diagnostics import SegmentLeverage
 from piga.results import Array
 
 _DETERMINES = 0.9

@@ -24,7 +24,8 @@ from piga.calibration.sources import across_squared
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration import Coefficient, MissingTerm
+from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.diagnostics import MissingTerm
 from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array

@@ -30,7 +30,7 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.source import TextSource
 from piga.formats.text.time_stamp import StampClock, forms_of, time_stamp
-from piga.records.calibration import Event
+from piga.records.calibration.diagnostics import Event
 
 _BLANKS = re.compile(rb"[ \t]+")
 _EDGES = re.compile(rb"^ | (?=\r?$)", re.MULTILINE)

@@ -35,7 +35,7 @@ from piga.ledger.store.documents import (
     sha256,
     write_new,
 )
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError, PigaError, UnitError, Where
 from piga.output import check_results
-from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient, Given, Provenance, Quality
-from piga.records.calibration.coefficient import Level
-from piga.records.calibration.diagnostics import ComparedSet
+from piga.records.calibration.calibration import Calibration, Given, Provenance
+from piga.records.calibration.coefficient import Amount, BudgetEntry, Coefficient, Level
+from piga.records.calibration.diagnostics import ComparedSet, Quality
 from piga.records.calibration.verdict import COUNTED
 from piga.records.limits import check_label, read_whole
 from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit

@@ -14,7 +14,7 @@ from piga.records.calibration.coefficient import TYPE_A_ONLY, StandSource
 from piga.units import G0
 
 if TYPE_CHECKING:
-    from piga.records.calibration import Calibration
+    from piga.records.calibration.calibration import Calibration
 
 Grade = Literal["clear", "doubt", "do not use"]
 

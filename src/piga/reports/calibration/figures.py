@@ -18,7 +18,8 @@ from piga.calibration.orders import (
 )
 from piga.calibration.residuals import add_lagged_products
 from piga.noise.deviations import allan_deviation
-from piga.records.calibration import Calibration, Residuals
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.diagnostics import Residuals
 from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import shown_output, shown_unit
 from piga.reports.calibration.tables import budget_shares, residual_quantity, scale_factor, shown_segments

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from piga.errors import CalibrationError
-from piga.records.calibration import Calibration
+from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.verdict import Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit

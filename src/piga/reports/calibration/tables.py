@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from piga.records.calibration import Amount, BudgetEntry, Calibration, Coefficient, Quality
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import TYPE_A_ONLY, Amount, BudgetEntry, Coefficient
+from piga.records.calibration.diagnostics import Quality
 from piga.records.calibration.verdict import Grade, Verdict
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
 from piga.reports.render.numbers import Rounded, count, fixed, pretty_unit, relative, rounded, short, signed

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.calibration import Residuals
+from piga.records.calibration.diagnostics import Residuals
 
 POINTS = 2000
 """Points that a drawn curve keeps at most."""

@@ -22,7 +22,7 @@ from starlette.routing import Route
 from piga.data import copy_example
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
-from piga.records.calibration import Coefficient
+from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
 from piga.records.text_files import files_named_in, toml_value
