@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.monte_carlo import Contribution, source_draws
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import Noise
 from piga.errors import RunFileError
@@ -87,13 +86,6 @@ def test_monte_carlo_draws_each_position(record: piga.Run) -> None:
     for c in calibration.coefficients:
         drawn = calibration.diagnostics.monte_carlo.coefficients[c.key]
         assert drawn.symmetric[1] - drawn.symmetric[0] == pytest.approx(2.0 * c.expanded, rel=0.1)
-
-
-def test_draws_of_a_t_distribution_share_their_scale() -> None:
-    drawn = source_draws(Contribution(np.eye(2), "t", 5.0), 40_000, np.random.default_rng(1))
-    assert drawn.var(axis=0) == pytest.approx([5.0 / 3.0] * 2, rel=0.1)
-    assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.03
-    assert np.corrcoef(drawn.T**2)[0, 1] > 0.1
 
 
 def dense(case: Repeated, run: piga.Run) -> np.ndarray:

@@ -16,14 +16,13 @@ from piga.calibration.joint import (
     with_all_sources,
 )
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.monte_carlo import monte_carlo_intervals
 from piga.calibration.remarks.advice import advise, with_advice
 from piga.calibration.remarks.left_out import left_out_terms
 from piga.calibration.remarks.missing_terms import Candidates
 from piga.calibration.result import make_result
 from piga.calibration.revolutions import whole_turns
 from piga.calibration.summary import RunSummary
-from piga.calibration.uncertainty import budget_of, combined, share_of_type_a, with_given_servo
+from piga.calibration.uncertainty import add_up, monte_carlo_intervals, with_given_servo
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.records.calibration.calibration import Calibration
@@ -132,17 +131,14 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
     steps("adding up the budget")
     fit = with_all_sources(fit, steps)
-    budget = budget_of(fit.coefficients, fit.covariance, list(effects(fit, stated=True)))
     candidates = Candidates(fit.without_scatter())
     doubts = left_out_terms(fit, candidates)
-    for doubt in (doubt for doubt in doubts if doubt.change.any()):
-        budget = budget.with_row(doubt.row(fit.coefficients))
-    type_a, covariance = budget.covariances(fit.covariance)
-    degrees = fit.degrees * share_of_type_a(type_a, fit.covariance)
-    coefficients = combined(fit.coefficients, covariance, budget.rows, degrees)
+    budget = add_up(
+        fit, effects(fit, stated=True), {one.source: one.change for one in doubts if one.change.any()}
+    )
     steps("checking the intervals")
-    coefficients, monte_carlo = monte_carlo_intervals(fit, coefficients, degrees, budget)
+    coefficients, monte_carlo = monte_carlo_intervals(fit, budget)
     steps("looking for missing terms")
-    result = make_result(fit, coefficients, covariance, BudgetTable(budget.rows), doubts, candidates)
+    result = make_result(fit, coefficients, budget.covariance, BudgetTable(budget.rows), doubts, candidates)
     result = replace(result, diagnostics=replace(result.diagnostics, monte_carlo=monte_carlo))
     return with_given_servo(result, *given_servo_of(fit))

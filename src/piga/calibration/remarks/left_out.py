@@ -25,9 +25,8 @@ from piga.calibration.joint import JointFit
 from piga.calibration.model.design import STIFFNESS_COLUMNS
 from piga.calibration.remarks.missing_terms import CUBIC, Candidates, tested, with_term
 from piga.calibration.sources import across_squared
-from piga.calibration.uncertainty import budget_row
 from piga.records.arrays import spans
-from piga.records.calibration.coefficient import BudgetEntry, Coefficient, StandSource, changes, coverage_factor
+from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor
 from piga.records.terms import GYRO, SERVO_TERMS, si_factor, unit_of
 from piga.results import Array
 
@@ -65,19 +64,10 @@ class LeftOut:
     words: str
     listed: StandSource | None = None
 
-    @property
-    def covariance(self) -> Array:
-        """Its contribution to the covariance of the coefficients."""
-        return np.outer(self.change, self.change) / 3.0
-
     def largest_shift(self, coefficients: tuple[Coefficient, ...]) -> float:
         """Largest change of a coefficient in its standard uncertainties."""
         sizes = zip(np.abs(self.change).tolist(), coefficients, strict=True)
         return max((size / c.std for size, c in sizes if c.std > 0.0), default=0.0)
-
-    def row(self, coefficients: tuple[Coefficient, ...]) -> BudgetEntry:
-        """Its row of the budget: a uniform distribution between the half-widths."""
-        return budget_row(self.source, "B", "rectangular", None, "", coefficients, self.change / math.sqrt(3.0))
 
 
 def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
