@@ -47,7 +47,7 @@ def slow(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """The site, in site/. A warning is an error, and so is a picture with other numbers."""
-    run(session, "builders.build_report_image")
+    run(session, "builders.pictures", "report")
     run(session, "sphinx", "-q", "-W", "--keep-going", "-b", "html", *session.posargs, "docs", "site")
     session.log("open site/index.html")
 
