@@ -1,8 +1,8 @@
 """Simulated tests with constant force in each segment, and the Cramer-Rao bound of their coefficients.
 
-One step of the motion is a closed form (:mod:`piga._kernels.motion.step`). It shares no code with the
-estimator. A random walk is part of the motion. White noise and counting belong to the reading. The gimbal starts at a
-random angle in every segment. The cases of the accuracy page are in ``benchmarks/cases``.
+One step of the motion is a closed form. It shares no code with piga. A random walk is part of the motion. White noise and
+counting belong to the reading. The gimbal starts at a random angle in every segment. The cases of the accuracy page are in
+``benchmarks/cases``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import piga
-from piga._kernels.jit import kernel
 from piga.records.calibration.coefficient import changes
 from piga.units import G0, to_si
 
@@ -39,27 +38,31 @@ FORCE_UNITS = {
 """Unit of each quantity of a case, by its key."""
 
 
-@kernel
-def constant_steps(a: float, y: float, z: float, start: float, noise: Array, out: Array) -> None:
-    """Angle under constant force after every step, in ``out`` (n + 1,): the exponential of a 2 x 2 matrix, then noise.
+def constant_steps(a: Array, y: Array, z: Array, start: Array, noise: Array) -> Array:
+    """Angle under the constant force of each segment after every step: the exponential of a 2 x 2 matrix, then noise.
 
-    It shares no code with the motion that the estimator integrates.
-    ``a``: turn of one step without the coupling [rad]. ``y``, ``z``: turns of the coupling, times its tangent [rad].
-    ``noise`` (n,) is added after each step [rad].
+    Parameters
+    ----------
+    a, y, z:
+        Turn of one step without the coupling, and of the coupling, times its tangent, (segments,) [rad].
+    start:
+        First angle of each segment [rad].
+    noise:
+        Added after each step, (segments, n) [rad].
+
+    Returns
+    -------
+    NDArray
+        (segments, n + 1) [rad].
     """
-    x = 0.25 * (y * y + z * z - a * a)
-    root = math.sqrt(abs(x))
-    if x >= 0.0:
-        c, s = math.cosh(root), (math.sinh(root) / root if root > 1e-9 else 1.0)
-    else:
-        c, s = math.cos(root), (math.sin(root) / root if root > 1e-9 else 1.0)
-    alpha = start
-    out[0] = alpha
-    for i in range(noise.size):
-        sine, cosine = math.sin(alpha), math.cos(alpha)
-        step = 2.0 * math.atan2(0.5 * s * (a + y * sine - z * cosine), c - 0.5 * s * (y * cosine + z * sine))
-        alpha += step + noise[i]
-        out[i + 1] = alpha
+    root = np.emath.sqrt(0.25 * (y * y + z * z - a * a)) + 1e-30
+    c, s = np.cosh(root).real, (np.sinh(root) / root).real
+    angles = [start]
+    for added in noise.T:
+        sine, cosine = np.sin(angles[-1]), np.cos(angles[-1])
+        turned = np.arctan2(0.5 * s * (a + y * sine - z * cosine), c - 0.5 * s * (y * cosine + z * sine))
+        angles.append(angles[-1] + 2.0 * turned + added)
+    return np.array(angles).T
 
 
 def read_cases(path: Path) -> dict[str, ConstantForce | Joint]:
@@ -107,11 +110,6 @@ def _segments(table: dict[str, Any]) -> tuple[Array, Array | None]:
     return np.vstack(parts), turning
 
 
-def products(a: Array, y: Array, z: Array) -> dict[str, Array]:
-    """What each coefficient multiplies [g^n], by name."""
-    return {name: product(a, y, z) for name, product in PRODUCTS.items()}
-
-
 PRODUCTS: dict[str, Callable[[Array, Array, Array], Array]] = {
     "k0": lambda a, _y, _z: a * 0.0 + 1.0,
     "k1": lambda a, _y, _z: a,
@@ -126,6 +124,7 @@ PRODUCTS: dict[str, Callable[[Array, Array, Array], Array]] = {
     "k_ZZ": lambda _a, _y, z: z**2,
     "k_YZ": lambda _a, y, z: y * z,
 }
+"""What each coefficient multiplies [g^n], by name."""
 
 
 def tumble(count: int, levels: tuple[float, ...] = (1.0,), start: float = 0.13, side: float = 0.02) -> Array:
@@ -172,14 +171,12 @@ class ConstantForce:
     def indicated(self) -> Array:
         """Indicated specific force along X0 less the coupling, per segment [g]."""
         a, y, z = self.forces.T
-        effects = products(a, y, z)
-        return a + sum(value * effects[name] for name, value in self.truth.items())
+        return a + sum(value * PRODUCTS[name](a, y, z) for name, value in self.truth.items())
 
     def record(self, rng: np.random.Generator) -> piga.Run:
         """One simulated test."""
         steps, h = round(self.seconds * self.rate), 1.0 / self.rate
         count = len(self.forces)
-        psi = np.empty((count, steps + 1))
         omega = np.zeros((count, 3)) if self.turning is None else self.turning
         a = self.scale_factor * self.indicated() - omega[:, 0]
         y = self.tan_beta * (self.scale_factor * self.forces[:, 1] - omega[:, 1])
@@ -190,8 +187,7 @@ class ConstantForce:
             noise += h * self._wandering(rng)
         if self.scatter:
             noise += h * self.scatter * rng.standard_normal((count, 1))
-        for s in range(count):
-            constant_steps(a[s] * h, y[s] * h, z[s] * h, starts[s], noise[s], psi[s])
+        psi = constant_steps(a * h, y * h, z * h, starts, noise)
         output = psi.ravel() - self.phi
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
@@ -283,8 +279,10 @@ class ConstantForce:
             "tan_beta": u_y * sine - u_z * cosine,
             "phi": self.tan_beta * (u_y * cosine + u_z * sine),
         }
-        effects = products(a, y, z)
-        rows = [known[n] if n in known else self.scale_factor * effects[n] + 0.0 * sine for n in self.names]
+        rows = [
+            known[n] if n in known else self.scale_factor * PRODUCTS[n](a, y, z) + 0.0 * sine
+            for n in self.names
+        ]
         return np.array([0.5 * h * (rate[1:] + rate[:-1]) for rate in rows]).T
 
 

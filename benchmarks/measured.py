@@ -1,8 +1,8 @@
 """Figures of the documentation: ``docs/measured/*.json``, and the tables that the pages show of them.
 
-``python benchmarks/measured.py`` writes the tables of all pages anew from the figures; ``--check`` only compares. A
-benchmark that is started with ``--record`` puts what it measured into its file (:func:`record`); then write the pages.
-Each file is one table. What all its figures share (version, commit, date, command, conditions) stands once, at the top.
+``python benchmarks/measured.py`` writes the tables of all pages anew from the figures. A benchmark that is started with
+``--record`` puts what it measured into its file; then write the pages. Each file is one table. What all its figures share
+(version, commit, date, command, conditions) stands once, at the top.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import datetime as dt
 import json
 import re
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,47 +28,29 @@ Figure = dict[str, Any]
 Value = float | tuple[float, float] | list[float]
 
 
-def names(folder: Path = FOLDER) -> list[str]:
+def names() -> list[str]:
     """Names of all tables."""
-    return sorted(path.stem for path in folder.glob("*.json"))
+    return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
-def load(name: str, folder: Path = FOLDER) -> tuple[dict[str, Any], list[Figure]]:
+def load(name: str) -> tuple[dict[str, Any], list[Figure]]:
     """Head of a table, and its figures with what they share filled in."""
-    table = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    table = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     shared = {key: table[key] for key in NEEDED if key in table}
     return table, [shared | figure for figure in table["figures"]]
 
 
-def record(name: str, values: Mapping[str, Value | Figure], folder: Path = FOLDER, **shared: Any) -> None:
-    """Put measured values into a table, with version, commit and date of now.
+def record(name: str, values: Mapping[str, Value | Figure], **shared: Any) -> None:
+    """Put the values that a table has figures for into it, by their names, with version, commit and date of now.
 
-    Parameters
-    ----------
-    name : str
-        The table.
-    values : Mapping
-        Value, lowest and highest value, or several members of a figure, by its name. An unknown name is an error.
-    folder : Path
-        Where the tables are.
-    **shared
-        More that is new for these figures, such as ``conditions``.
+    A value is a number, the lowest and the highest, or several members of a figure. ``shared`` is more that is new for these
+    figures, such as ``conditions``.
     """
-    path = folder / f"{name}.json"
-    table = json.loads(path.read_text(encoding="utf-8"))
-    figures = {figure["name"]: figure for figure in table["figures"]}
-    unknown = sorted(set(values) - set(figures))
-    if unknown:
-        raise KeyError(f"{path.name} has no figures {unknown}; add them there with their units")
-    now = {"version": version(), "commit": commit(), "date": dt.datetime.now(dt.UTC).date().isoformat()}
-    for key, value in values.items():
-        new = (
-            value if isinstance(value, dict) else {"value": list(value) if isinstance(value, tuple) else value}
-        )
-        figures[key].pop("least", None)
-        figures[key].update(new | now | shared)
-    path.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(f"recorded in {path.relative_to(ROOT) if path.is_relative_to(ROOT) else path}")
+    table = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    for figure in table["figures"]:
+        if figure["name"] in values:
+            figure.update(_members(values[figure["name"]]) | _now() | shared)
+    _save(name, table)
 
 
 def write(
@@ -77,42 +58,30 @@ def write(
     corner: str,
     rows: Mapping[str, Mapping[str, Value | Figure]],
     units: Mapping[str, str] | None = None,
-    *,
-    folder: Path = FOLDER,
     **shared: Any,
 ) -> None:
-    """Write a whole table of rows and columns, with version, commit and date of now.
+    """Write a whole table: for each row its values by column, with the unit of each column, 1 if it has none.
 
-    Parameters
-    ----------
-    name : str
-        The table.
-    corner : str
-        Head of the column that names the rows.
-    rows : Mapping
-        For each row its values by column: a value, lowest and highest value, or several members of a figure.
-    units : Mapping
-        Unit of each column, by its name; none is 1.
-    folder : Path
-        Where the tables are.
-    **shared
-        What all figures share: ``command`` and ``conditions``.
+    ``corner`` is the head of the column that names the rows, ``shared`` what all figures share: ``command``, ``conditions``.
     """
-    columns = list(dict.fromkeys(column for cells in rows.values() for column in cells))
-    figures = []
-    for row, cells in rows.items():
-        for column, value in cells.items():
-            new = (
-                value
-                if isinstance(value, dict)
-                else {"value": list(value) if isinstance(value, tuple) else value}
-            )
-            own = {"name": f"{row}: {column}", "unit": (units or {}).get(column, "1")}
-            figures.append(own | new | {"row": row, "column": column})
-    now = {"version": version(), "commit": commit(), "date": dt.datetime.now(dt.UTC).date().isoformat()}
-    table = now | shared | {"rows": corner, "columns": columns, "figures": figures}
+    figures = [
+        {"name": f"{row}: {column}", "unit": (units or {}).get(column, "1")}
+        | _members(value)
+        | {"row": row, "column": column}
+        for row, cells in rows.items()
+        for column, value in cells.items()
+    ]
+    columns = list(dict.fromkeys(figure["column"] for figure in figures))
+    _save(name, _now() | shared | {"rows": corner, "columns": columns, "figures": figures})
+
+
+def _members(value: Value | Figure) -> Figure:
+    return value if isinstance(value, dict) else {"value": list(value) if isinstance(value, tuple) else value}
+
+
+def _save(name: str, table: dict[str, Any]) -> None:
     text = json.dumps(table, indent=1, ensure_ascii=False) + "\n"
-    (folder / f"{name}.json").write_text(text, encoding="utf-8")
+    (FOLDER / f"{name}.json").write_text(text, encoding="utf-8")
     print(f"recorded {name}")
 
 
@@ -121,78 +90,57 @@ def rounded(value: float, digits: int = 3) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def version() -> str:
-    """Version of the sources."""
+def _now() -> dict[str, str]:
+    """Version of the sources, the commit that is checked out, marked where files differ from it, and the day."""
     text = (ROOT / "src" / "piga" / "_version.py").read_text(encoding="utf-8")
-    return text.split('__version__ = "')[1].split('"')[0]
-
-
-def commit() -> str:
-    """The commit that is checked out; marked where files differ from it."""
-    said = [
-        subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-        for words in (
-            ["rev-parse", "--short", "HEAD"],
-            ["status", "--porcelain", "--untracked-files=no", "src"],
-        )
-    ]
-    return said[0] + (" and changes" if said[1] else "")
+    command = ["git", "describe", "--always", "--exclude", "*", "--dirty= and changes"]
+    commit = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    day = dt.datetime.now(dt.UTC).date().isoformat()
+    return {"version": text.split('__version__ = "')[1].split('"')[0], "commit": commit, "date": day}
 
 
 # --- tables ------------------------------------------------------------------------------------------
 
 
-def render(name: str, folder: Path = FOLDER) -> str:
+def render(name: str) -> str:
     """A table in Markdown, with a line below it that says how its figures were measured."""
-    table, figures = load(name, folder)
+    table, figures = load(name)
     rows = grid(table, figures) if "columns" in table else bars(figures)
-    return "\n".join(rows) + "\n\n" + source(table, figures) + "\n"
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + f"\n\n{source(table, figures)}\n"
 
 
-def bars(figures: list[Figure]) -> list[str]:
+def bars(figures: list[Figure]) -> list[list[str]]:
     """One figure a row, beside what was asked; command and version where they are not those of most rows."""
     usual, usually = common(figures, "command"), common(figures, "version", "date")
-    varied = not same(figures, "version", "date")
-    asked = any({"at_most", "at_least"} & set(figure) for figure in figures)
-    noted = any("note" in figure for figure in figures)
-    commands = not same(figures, "command")
-    head = [
-        "what",
-        *["asked"] * asked,
-        "measured",
-        *["note"] * noted,
-        *["again by"] * commands,
-        *["version"] * varied,
-    ]
-    rows = [line(head), line(["---"] * len(head))]
-    for figure in figures:
-        cells = [figure["name"], *[bar(figure)] * asked, measured(figure), *[figure.get("note", "")] * noted]
-        again = "" if (figure["command"],) == usual else f"`{figure['command']}`"
-        version = "" if (figure["version"], figure["date"]) == usually else stamp([figure])
-        rows.append(line([*cells, *[again] * commands, *[version] * varied]))
-    return rows
+    columns = {
+        "what": [figure["name"] for figure in figures],
+        "asked": [bar(figure) for figure in figures],
+        "measured": [measured(figure) for figure in figures],
+        "note": [figure.get("note", "") for figure in figures],
+        "again by": ["" if (f["command"],) == usual else f"`{f['command']}`" for f in figures],
+        "version": ["" if (f["version"], f["date"]) == usually else stamp([f]) for f in figures],
+    }
+    filled = {head: cells for head, cells in columns.items() if any(cells)}
+    return [list(filled), ["---"] * len(filled), *map(list, zip(*filled.values(), strict=True))]
 
 
-def grid(table: dict[str, Any], figures: list[Figure]) -> list[str]:
+def grid(table: dict[str, Any], figures: list[Figure]) -> list[list[str]]:
     """Figures in rows and columns; several of one cell stand side by side."""
     columns, varied = table["columns"], not same(figures, "version", "date")
-    head = [table["rows"], *columns, *["version"] * varied]
-    rows = [line(head), line(["---"] + ["---:"] * len(columns) + ["---"] * varied)]
+    rows = [
+        [table["rows"], *columns, *["version"] * varied],
+        ["---"] + ["---:"] * len(columns) + ["---"] * varied,
+    ]
     for row in dict.fromkeys(figure["row"] for figure in figures):
         own = [figure for figure in figures if figure["row"] == row]
         cells = [", ".join(cell(f) for f in own if f["column"] == column) for column in columns]
-        rows.append(line([row, *cells, *[stamp(own)] * varied]))
+        rows.append([row, *cells, *[stamp(own)] * varied])
     return rows
 
 
 def cell(figure: Figure) -> str:
     """A figure of a grid, with what was asked where that was not met."""
     return measured(figure) if met(figure) else f"{measured(figure)} ({bar(figure)})"
-
-
-def line(cells: list[str]) -> str:
-    """A row of a table."""
-    return "| " + " | ".join(cells) + " |"
 
 
 def same(figures: list[Figure], *keys: str) -> bool:
@@ -220,12 +168,9 @@ def met(figure: Figure) -> bool:
 
 def bar(figure: Figure) -> str:
     """What was asked, in words."""
-    words = [(key.replace("_", " "), figure[key]) for key in ("at_least", "at_most") if key in figure]
-    return (
-        with_unit(" and ".join(f"{word} {number(value, figure)}" for word, value in words), figure)
-        if words
-        else ""
-    )
+    asked = [(key.replace("_", " "), figure[key]) for key in ("at_least", "at_most") if key in figure]
+    words = " and ".join(f"{word} {number(value, figure)}" for word, value in asked)
+    return with_unit(words, figure) if asked else ""
 
 
 def measured(figure: Figure) -> str:
@@ -234,8 +179,6 @@ def measured(figure: Figure) -> str:
     text = number(low, figure, fixed=True)
     text += f" to {number(high, figure, fixed=True)}" if high != low else ""
     text = with_unit(text, figure)
-    if "least" in figure:
-        text += f" (least {number(figure['least'], figure)})"
     return text if met(figure) else f"**not met**: {text}"
 
 
@@ -267,8 +210,7 @@ def source(table: dict[str, Any], figures: list[Figure]) -> str:
     if not all(same(figures, *keys) for keys in said):
         parts[0] = f"rows without an entry of their own: {parts[0]}"
     parts += list(dict.fromkeys(figure["conditions"] for figure in figures))
-    text = ". ".join(part[:1].upper() + part[1:] for part in parts)
-    return f"*{text}.*"
+    return f"*{'. '.join(part[:1].upper() + part[1:] for part in parts)}.*"
 
 
 # --- pages -------------------------------------------------------------------------------------------
@@ -285,22 +227,11 @@ def shown(text: str) -> list[str]:
     return [mark["name"] for mark in _TABLE.finditer(text)]
 
 
-def filled(text: str, folder: Path = FOLDER) -> str:
+def filled(text: str) -> str:
     """The text of a page with its tables as the figures have them."""
-    return _TABLE.sub(lambda mark: f"{mark['head']}{render(mark['name'], folder)}{mark['end']}", text)
-
-
-def main() -> None:
-    """Write or check all pages."""
-    for path in pages():
-        text = path.read_text(encoding="utf-8")
-        if filled(text) == text:
-            continue
-        if "--check" in sys.argv:
-            sys.exit(f"{path.relative_to(ROOT)} differs from docs/measured; run: python benchmarks/measured.py")
-        path.write_text(filled(text), encoding="utf-8")
-        print(path.relative_to(ROOT))
+    return _TABLE.sub(lambda mark: f"{mark['head']}{render(mark['name'])}{mark['end']}", text)
 
 
 if __name__ == "__main__":
-    main()
+    for page in pages():
+        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

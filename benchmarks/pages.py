@@ -1,4 +1,4 @@
-"""Figures of the pages on theory and platform: ``python -m benchmarks.pages [TABLE ...] [--record]``.
+"""Tables of the page on accuracy: ``python -m benchmarks.pages [TABLE ...] [--record]``.
 
 Truth is SciPy on the equations of motion (``tests/instrument/servo_truth.py``), not piga's own kernels. Every table takes
 less than a minute. With ``--record`` it goes into ``docs/measured``; then run ``python benchmarks/measured.py``.
@@ -8,57 +8,18 @@ from __future__ import annotations
 
 import argparse
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from benchmarks.harness import put_table
-from benchmarks.measured import ROOT, Figure, Value, rounded
-from tests.instrument.servo_truth import Design, centrifuge_record, mean_rate, waves
+from benchmarks.measured import ROOT, Figure, Value, rounded, write
+from tests.instrument.servo_truth import centrifuge_record
 
 from piga.units import G0
 
 Rows = dict[str, dict[str, Value | Figure]]
-CASE = Design(K=0.8884 / G0)
 BODY = "rigid body by SciPy, `tests/instrument/servo_truth.py`"
-
-
-def servo_body() -> dict:
-    """Change of the mean rate on a head."""
-    row: dict[str, Value | Figure] = {}
-    for degrees in (15, 30, 45, 60, 75):
-        angle = math.radians(degrees)
-        force = (G0 * math.cos(angle), -G0 * math.sin(angle), 0.0)
-        shift = (mean_rate(CASE, force) / (CASE.K * force[0]) - 1.0) * 1e6
-        row[f"{degrees} deg"] = {"value": round(shift, 4), "decimals": 4}
-    return {
-        "corner": "angle of the head",
-        "rows": {"change of the mean rate": row},
-        "units": dict.fromkeys(row, "ppm"),
-        "conditions": f"{BODY}, at 1 g",
-    }
-
-
-def servo_order() -> dict:
-    """The next order of the two terms and of the coupling."""
-    body = replace(CASE, beta=0.0)
-    rows: Rows = {}
-    s, d = body.K * body.ml / (2 * body.k_i), body.c * body.K**2 / body.k_i
-    for level in (1.0, 10.0, -8.0):
-        w = body.K * level * G0
-        mean, sine, cosine, _, _ = waves(body, (level * G0, G0, 0.0))
-        printed = (body.J_y * body.k_i - body.c * body.k_p) / body.k_i**2 * w**3
-        rows[f"{level:g} g, 1 g"] = {
-            "factor of s": rounded(mean / (-s * w * G0**2), 5 if level == 1.0 else 4),
-            "factor of d": rounded(cosine / (-d * w**2 / body.K * G0), 5 if level == 1.0 else 4),
-            "change of tan_beta": rounded(sine / (body.K * G0), 4),
-            "by the formula": rounded(printed, 4),
-        }
-    return {
-        "corner": "input along, across",
-        "rows": rows,
-        "conditions": f"{BODY}, B = {body.J_y:g} kg m²",
-    }
 
 
 def servo_fit() -> dict:
@@ -91,7 +52,7 @@ def servo_fit() -> dict:
     }
 
 
-def compensated_servo() -> dict:
+def servo_compensated() -> dict:
     """Errors of compensated records of the rigid body, with and without the terms."""
     from tests.compensation.test_compensator_servo import BASIC, SERVO, WHOLE, error, record
 
@@ -111,38 +72,6 @@ def compensated_servo() -> dict:
         "corner": "force [g]",
         "rows": rows,
         "conditions": f"{BODY}, K = 0.8885 (rad/s)/g, k_i = 3000, k_p = 30, s = d = 13.16 micro-g/g³, records of a turn at 20 Hz",
-    }
-
-
-def platform_days() -> dict:
-    """Lines of a day that models A and B leave in the published case, and how far the theory of A is."""
-    from piga.platform.chain import compare
-    from piga.platform.scenario import load_scenario
-
-    document = compare(load_scenario(ROOT / "examples" / "platform-published.toml")).document()
-    left, theory, better = document["models"]["A"], document["theory"]["A"], document["models"]["B"]
-    shown = {
-        "east velocity": ("east_velocity_line_m_s", 1e3, "mm/s"),
-        "heading": ("heading_line_arcmin", 60.0, "arcsec"),
-        "roll": ("roll_line_arcmin", 60.0, "arcsec"),
-    }
-    rows: Rows = {}
-    for name, (key, scale, unit) in shown.items():
-        for day in (1, 3, 10):
-            value, expected = left[key][day - 1], theory[key][day - 1]
-            row = rows.setdefault(f"model A, {name}", {})
-            row[f"day {day}"] = {"value": rounded(value * scale, 4), "unit": unit}
-            row = rows.setdefault(f"model A, {name}, less theory", {})
-            row[f"day {day}"] = {"value": rounded(100 * (value / expected - 1), 2), "unit": "%"}
-    key = "east_velocity_line_m_s"
-    rows["east velocity of model B over that of A"] = {
-        f"day {day}": {"value": rounded(100 * better[key][day - 1] / left[key][day - 1], 2), "unit": "%"}
-        for day in (1, 3, 10)
-    }
-    return {
-        "corner": "line of the day",
-        "rows": rows,
-        "conditions": "`examples/platform-published.toml`, ten days at 1 Hz",
     }
 
 
@@ -201,26 +130,101 @@ def compensation_starts() -> dict:
     }
 
 
-TABLES: dict[str, Callable[[], dict]] = {
-    "servo-body": servo_body,
-    "servo-order": servo_order,
-    "servo-fit": servo_fit,
-    "servo-compensated": compensated_servo,
-    "compensation-turning": compensation_turning,
-    "compensation-starts": compensation_starts,
-    "platform-days": platform_days,
-}
+def fixed(value: float, decimals: int, unit: str = "1") -> Figure:
+    """A cell with so many decimals."""
+    return {"value": round(float(value), decimals) + 0.0, "unit": unit, "decimals": decimals}
+
+
+def twin_loop() -> dict:
+    """Nutation and margins of the presets."""
+    from piga.instrument.twin.linear import analyse_loop
+    from piga.instrument.twin.parameters import PRESETS
+
+    turn, rows = 2.0 * math.pi, {}
+    for name, p in PRESETS.items():
+        a = analyse_loop(p)
+        cells = {
+            "H/sqrt(J_x B)": fixed(p.nutation / turn, 1, "Hz"),
+            "nutation in the loop": fixed(a.nutation / turn, 1, "Hz"),
+            "damping": fixed(a.nutation_damping, 2),
+            "crossover": fixed(a.crossover / turn, 1, "Hz"),
+            "phase margin": fixed(math.degrees(a.phase_margin), 1, "deg"),
+            "gain margin": fixed(20.0 * math.log10(a.gain_margin), 1, "dB"),
+            "bandwidth": fixed(a.bandwidth / turn, 0, "Hz"),
+        }
+        rows[name] = {column: cell for column, cell in cells.items() if math.isfinite(cell["value"])}
+    return {
+        "corner": "preset",
+        "rows": rows,
+        "conditions": "an empty gain margin: no gain makes the loop unstable",
+    }
+
+
+def twin_round_trip() -> dict:
+    """A twin on a dividing head, calibrated without the servo's terms, with the predicted error taken off, with the terms."""
+    import tempfile
+    from pathlib import Path
+
+    from tests.stand.simulated import predicted_angle_error
+
+    import piga
+    from piga.stand import read_scenario, run_scenario
+    from piga.stand.write_run import coefficients, run_file_text, write_data
+
+    scenario = read_scenario(ROOT / "examples" / "twin.toml")
+    test = run_scenario(scenario)
+    truth = {v.name: v.value for v in coefficients(test)}
+    with tempfile.TemporaryDirectory() as folder:
+        write_data(test, Path(folder) / "run.parquet")
+        path = Path(folder) / "run.toml"
+        path.write_text(run_file_text(scenario, test, "run.parquet"), encoding="utf-8")
+        run = piga.read_run(path)
+    plain = [name for name in run.model.terms if not name.startswith("servo")]
+    full = piga.calibrate(run)
+    fits = {
+        "without the terms": piga.calibrate(run, plain),
+        "predicted error taken off": piga.calibrate(
+            replace(run, output=run.output - predicted_angle_error(test)), plain
+        ),
+        "with the terms": full,
+    }
+    rows: Rows = {}
+    for c in full.coefficients:
+        values = {"truth": truth[c.name]}
+        values |= {
+            name: fit[c.name].value
+            for name, fit in fits.items()
+            if c.name in {b.name for b in fit.coefficients}
+        }
+        rows[f"{c.name} [{c.unit}]"] = {
+            column: {"value": rounded(value, 7), "digits": 7} for column, value in values.items()
+        } | {"u": rounded(c.std, 2), "error/u": fixed((c.value - truth[c.name]) / c.std, 1)}
+    rows["residual, rms [rad]"] = {name: rounded(fit.residual_rms) for name, fit in fits.items()}
+    return {
+        "corner": "coefficient",
+        "rows": rows,
+        "conditions": "`examples/twin.toml`; u is the standard uncertainty with the terms",
+    }
+
+
+TABLES: tuple[Callable[[], dict], ...] = (
+    servo_fit, servo_compensated, compensation_turning, compensation_starts, twin_loop, twin_round_trip,
+)  # fmt: skip
 
 
 def main() -> None:
     """Compute the tables that are named, or all."""
+    tables = {table.__name__.replace("_", "-"): table for table in TABLES}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], help="all when none is named")
+    parser.add_argument("tables", nargs="*", choices=[*tables, []], help="all when none is named")
     parser.add_argument("--record", action="store_true", help="write them into docs/measured")
-    arguments = parser.parse_args()
-    for name in arguments.tables or TABLES:
-        table = TABLES[name]()
-        put_table(name, record=arguments.record, command=f"python -m benchmarks.pages {name}", **table)
+    asked = parser.parse_args()
+    warnings.simplefilter("ignore")
+    for name in asked.tables or tables:
+        table = tables[name]()
+        print(table)
+        if asked.record:
+            write(name, command=f"python -m benchmarks.pages {name}", **table)
 
 
 if __name__ == "__main__":

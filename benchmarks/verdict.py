@@ -15,14 +15,12 @@ from typing import Any
 
 import numpy as np
 from benchmarks import measured
-from benchmarks.harness import put_table
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import piga
 from piga.records.run_file import UncertaintyTable
-from piga.trend.history import find_trend
 from piga.units import ARCSEC, G0
 
 Array = NDArray[np.float64]
@@ -234,74 +232,8 @@ CASES: dict[str, tuple[Callable[[int], Any], Said]] = {
 }  # fmt: skip
 
 
-def hidden_vibration(seed: int) -> tuple[bool, bool, bool]:
-    """The mean of 12 s under 5 g rms up to 0.6 to 6 times the Nyquist frequency, with k2 of 6 ug/g^2."""
-    from tests.compensation.test_compensator_vibration import means, shaken, with_k2
-
-    force, run = shaken(seed, spread(seed, 0.6, 6.0))
-    result = piga.compensate(run, with_k2())
-    error = result.ax[1:].mean() / G0 - means(force).mean()
-    outside = bool(abs(error) > 2.0 * np.sqrt(np.mean(result.u_ax[200:] ** 2)) / G0)
-    named = bool(result.flagged("vibration")[200:].mean() > 0.5) and "Nyquist" in " ".join(result.notes)
-    return outside, outside and not named, named
-
-
-def early_step(seed: int) -> tuple[bool, bool, bool]:
-    """Twelve records in three years, with a step of ten standard uncertainties from one of the records 3 to 6 on."""
-    from tests.trend.history import history
-
-    rng = np.random.default_rng([seed, 4])
-    y = rng.normal(0.0, 1.0, 12)
-    y[int(rng.integers(2, 6)) :] += 10.0 * rng.choice([-1.0, 1.0])
-    alarms = find_trend(history(np.arange(12) / 4.0, 5.0 + y, 1.0)).alarms
-    named = any("than a line" in alarm for alarm in alarms)
-    return True, not named, bool(alarms)
-
-
-def a_year_ahead(seed: int, course: str) -> tuple[bool, bool, bool]:
-    """Sixteen records in four years with a slow course; the coefficient a year later."""
-    from tests.trend import campaign
-    from tests.trend.history import history
-
-    rng, t = np.random.default_rng([seed, 5]), np.append(np.arange(16) / 4.0, 4.75)
-    true = 5.0 + getattr(campaign, course)(rng, t)
-    trend = find_trend(history(t[:-1], true[:-1] + rng.normal(0.0, 1.0, 16), 1.0))
-    ahead = trend["k0"].coefficient_at(4.75)
-    outside = bool(abs(ahead.value - true[-1]) > ahead.half_width())
-    named = bool(trend.alarms or trend.remarks)
-    return outside, outside, named
-
-
-def line_beside_the_day(seed: int) -> tuple[bool, bool, bool]:
-    """A line at the case rate for a day, beside lines as large at one cycle a day from it and at the Schuler rate."""
-    from piga.platform.analysis import CHANNELS, fitted_lines
-
-    rng, day, rate = np.random.default_rng([seed, 6]), 7.292115e-5, 2.0 * np.pi / spread(seed, 400.0, 700.0)
-    t = 10.0 * np.arange(8640)
-    latitude = float(rng.uniform(0.1, 1.3))
-    others = [(rate + day, 1.0), (rate - day, 1.0), (1.2383e-3 + day * np.sin(latitude), 5.0), (0.0, 50.0)]
-    values = np.cos(rate * t + rng.uniform(0.0, 6.0))
-    for w, size in others:
-        values += size * rng.uniform(0.0, 1.0) * np.cos(w * t + rng.uniform(0.0, 6.0))
-    fitted = fitted_lines(t, np.repeat(values[:, None], len(CHANNELS), axis=1), (rate,), latitude)
-    outside = bool(abs(fitted[0, 0] - 1.0) > 1e-3)
-    return outside, outside, False
-
-
-OTHER_CASES: dict[str, Callable[[int], tuple[bool, bool, bool]]] = {
-    "compensation: vibration of 5 g rms that the intervals hide": hidden_vibration,
-    "trend: a step of 10 u at record 3 to 6 of 12": early_step,
-    "trend: a year ahead of a random walk": lambda seed: a_year_ahead(seed, "walk"),
-    "trend: a year ahead of an ageing": lambda seed: a_year_ahead(seed, "ageing"),
-    "platform: line of a case beside lines at one cycle a day": line_beside_the_day,
-}
-"""What is no calibration. A value is outside of its interval (a line: wrong by 0.1 %); nothing names it; a flag or an alarm."""
-
-
 def outcome(name: str, seed: int) -> tuple[bool, bool, bool]:
     """A coefficient is outside of its interval; nothing names why; there is a doubt."""
-    if name in OTHER_CASES:
-        return OTHER_CASES[name](seed)
     record, said = CASES[name]
     flat = name.startswith("arm") or name.endswith("alone")
     result = piga.calibrate(record(seed), TERMS[:4] if flat else TERMS)
@@ -318,26 +250,21 @@ def outcome(name: str, seed: int) -> tuple[bool, bool, bool]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "cases", nargs="*", metavar="CASE", help="name of a case, 'calibration' or 'other': all of a kind"
-    )
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="all when none is named")
     parser.add_argument("--records", type=int, default=100)
     parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
     chosen = parser.parse_args()
     warnings.simplefilter("ignore")
-    for kind, table, cases, conditions in (
-        ("calibration", "verdict", CASES, CONDITIONS), ("other", "verdict-other", OTHER_CASES, OTHER_CONDITIONS)
-    ):  # fmt: skip
-        wanted = [name for name in cases if not chosen.cases or {kind, name} & {*chosen.cases}]
-        rows: dict[str, dict[str, measured.Value]] = {}
-        for name in wanted:
-            shares = np.mean([outcome(name, seed) for seed in range(chosen.records)], axis=0) * 100.0
-            rows[name] = {"records": chosen.records} | dict(zip(COLUMNS, shares.tolist(), strict=True))
-        put_table(
-            table, "fault", rows, dict.fromkeys(COLUMNS, "%"), conditions=conditions,
-            record=chosen.record and len(wanted) == len(cases),
-            command=f"python -m benchmarks.verdict {kind} --records {chosen.records}",
-        )  # fmt: skip
+    rows: dict[str, dict[str, measured.Value]] = {}
+    for name in chosen.cases or CASES:
+        shares = np.mean([outcome(name, seed) for seed in range(chosen.records)], axis=0) * 100.0
+        rows[name] = {"records": chosen.records} | dict(zip(COLUMNS, shares.tolist(), strict=True))
+        print(name, rows[name], flush=True)
+    if chosen.record and not chosen.cases:
+        command = f"python -m benchmarks.verdict --records {chosen.records}"
+        measured.write(
+            "verdict", "fault", rows, dict.fromkeys(COLUMNS, "%"), conditions=CONDITIONS, command=command
+        )
 
 
 COLUMNS = ("outside", "outside, nothing names it", "a doubt")
@@ -345,13 +272,6 @@ CONDITIONS = (
     "24 positions of 60 s on a head, or 8 levels of 60 s on an arm; K, k0 and m_Y; noise of 4 arcsec and 4 arcsec/√s. "
     "Outside: one of them is not in its 95 % interval"
 )
-OTHER_CONDITIONS = (
-    "Compensation: mean of 12 s at 100 Hz, vibration up to 0.6 to 6 times the Nyquist frequency, k2 of 6 µg/g². "
-    "Trend: 12 records in three years; 16 in four years, a walk of 5 u a year or an ageing of 20 u. "
-    "Platform: a day, neighbours as large as the line. Outside: not in its 95 % interval (2 u for the mean; a step in "
-    "the history; the line by more than 0.1 %). A doubt: a flag, an alarm or a remark"
-)
-
 
 if __name__ == "__main__":
     main()

@@ -1,9 +1,9 @@
-"""Pictures of the product in README and docs: ``python -m builders.pictures [report] [workbench] [gallery] [coverage]``.
+"""Pictures of the product in README and docs: ``python -m builders.pictures [report] [workbench] [gallery] [twin] [coverage]``.
 
 ``report``: the top of the demo's report. Its numbers stand in ``report.json`` beside it, with the digest of the picture. A new
 picture is taken where the product gives other numbers; ``--anew`` takes it in any case. ``workbench``: the path of the main job
-on the shipped record. Both need Chromium. ``gallery``: figures by the report's own functions. ``coverage``: the intervals by
-scenario, from ``docs/measured``.
+on the shipped record. Both need Chromium. ``gallery``, ``twin``: figures by the report's own functions.
+``coverage``: the intervals by scenario, from ``docs/measured``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import gzip
 import hashlib
 import io
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -20,15 +21,21 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from benchmarks.measured import ROOT, load
 
 import piga
+from piga.calibration.orders import order_spectrum
 from piga.records.calibration import Calibration
 from piga.reports.calibration.page import figures
 from piga.reports.calibration.page import page as calibration_page
+from piga.reports.calibration.tables import scale_factor
+from piga.reports.render.axes import write_figure
+from piga.reports.render.figure import Figure, Plot, axis
 from piga.reports.render.page import Table
 from piga.units import ARCSEC, G0
 
@@ -132,7 +139,6 @@ def workbench() -> None:
 
 def gallery() -> None:
     """Lock zones, the shipped plan, ten days of the published platform, and the ripple of the shipped record."""
-    from piga.reports import write_figure
     from piga.reports.stand import locking_figure
 
     instrument = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
@@ -149,10 +155,70 @@ def gallery() -> None:
         write_figure(figure, FIGURES / f"{name}.svg")
 
 
+def twin() -> None:
+    """The servo twin: its loop, its start, a soft servo, loss of lock; and a triad of twins before and after compensation."""
+    from tests.compensation.twin_triad import run as run_triad
+    from tests.compensation.twin_triad import spectrum
+
+    from piga.earth import Site
+    from piga.instrument.twin.electronics import Electronics
+    from piga.instrument.twin.parameters import PRESETS
+    from piga.instrument.twin.run import run_twin
+    from piga.reports import stand
+    from piga.reports.calibration.figures import spectrum_figure
+    from piga.stand import DividingHead, Specimen, read_scenario, run_scenario, simulate_test
+    from piga.stand.write_run import run_file_text, write_data
+
+    example = PRESETS["example"]
+    for figure in (stand.bode_figure(example), stand.step_figure(example), stand.pole_figure(example)):
+        save(replace(figure, key=f"twin-{figure.key}"))
+    p, t = replace(example, alpha0=0.7), np.arange(1000) * 2e-4
+    runs = {
+        name: run_twin(p, t, np.tile([G0, 0.5 * G0, 0.0], (t.size, 1)), start=name)
+        for name in ("transient", "slow-manifold")
+    }
+    plot = Plot("twin-start", "Two ways to start", columns=2).panel("time [ms]", "tilt [arcsec]", "Tilt")
+    for (name, motion), role in zip(runs.items(), ("before", "after"), strict=True):
+        plot.line(1e3 * t, motion.beta / ARCSEC, name, role)
+    plot.panel(axis("time [ms]", limits=(0.0, 40.0)), "rate/(K a_x)", "Output rate")
+    for (name, motion), role in zip(runs.items(), ("before", "after"), strict=True):
+        plot.line(1e3 * t[:201], motion.rate[:201] / (p.K * G0), name, role)
+    save(plot.caption(""))
+    head = DividingHead(Site(math.radians(40.0)), (math.pi / 4, 7 * math.pi / 4), dwell=120.0, move=5.0)
+    instrument = piga.Instrument("0.8884 rad/s/g", "74 arcsec", 0.8)
+    soft = Specimen(instrument, piga.ErrorModel(), twin=replace(example, integral_gain=0.0))
+    test = simulate_test(head, soft, Electronics(sample_rate=20.0), model="twin")
+    with tempfile.TemporaryDirectory() as folder:
+        write_data(test, Path(folder) / "run.parquet")
+        path = Path(folder) / "run.toml"
+        path.write_text(
+            run_file_text(read_scenario(ROOT / "examples" / "twin.toml"), test, "run.parquet"), "utf-8"
+        )
+        cal = piga.calibrate(piga.read_run(path), ["tan_beta", "k0"])
+    order = spectrum_figure(order_spectrum(cal.residuals, scale_factor(cal)))
+    save(replace(order, key="twin-order-two", title="A soft servo shows at order 2"))
+    spun = run_scenario(read_scenario(ROOT / "examples" / "twin-spin-up.toml"))
+    save(replace(stand.servo_figure(spun, spun.motion), key="twin-lock"))
+    orders, outcome = np.arange(0.3, 5.01, 0.02), run_triad(120.0)
+    plot = Plot(
+        "compensation-triad-orders", "A triad of servo twins, before and after compensation.",
+        "revolution order [cycles/rev]", "log error along the input axis [µg]", height=3.0,
+    )  # fmt: skip
+    for name, error in (("before", outcome.before), ("after", outcome.after), ("noise put in", outcome.noise)):
+        size = spectrum(outcome.psi, error, orders) / (1e-6 * G0)
+        plot.line(orders, size, name, "reference", dashed=name == "noise put in")
+    save(plot.caption("Three twins on a cone, 120 s of slow swing. Order 1 is cross-coupling."))
+
+
+def save(figure: Figure) -> None:
+    """The figure as an SVG of the manual, named by its key."""
+    write_figure(figure, FIGURES / f"{figure.key}.svg")
+
+
 def coverage() -> None:
     """Coverage of the intervals by scenario."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Canvas
 
     rows = [
         (figure["row"], figure["value"] if isinstance(figure["value"], list) else [figure["value"]], colour)
@@ -162,7 +228,7 @@ def coverage() -> None:
         for figure in load(table)[1]
         if figure["column"] == column
     ]  # fmt: skip
-    drawn = Figure(figsize=(9.0, 0.5 + 0.24 * len(rows)), layout="constrained")
+    drawn = Canvas(figsize=(9.0, 0.5 + 0.24 * len(rows)), layout="constrained")
     axes = drawn.subplots()
     axes.axvspan(93.0, 97.0, color="#2e7d32", alpha=0.15, lw=0)
     for k, (_, shares, colour) in enumerate(rows):
@@ -180,7 +246,7 @@ def coverage() -> None:
 
 def main() -> None:
     """Make the pictures that are named, or all."""
-    pictures = {made.__name__: made for made in (workbench, gallery, coverage)}
+    pictures = {made.__name__: made for made in (workbench, gallery, twin, coverage)}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("pictures", nargs="*", choices=["report", *pictures, []], help="all when none is named")
     parser.add_argument("--anew", action="store_true")
