@@ -30,7 +30,6 @@ from benchmarks.measured import ROOT, load
 
 import piga
 from piga.calibration.orders import order_spectrum
-from piga.records.calibration import Calibration
 from piga.reports.calibration.page import figures
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.calibration.tables import scale_factor
@@ -72,7 +71,7 @@ def take(page: Page, out: Path) -> None:
 
 def numbers(calibration: Path) -> dict[str, Any]:
     """Verdict, tiles and coefficients in words, as the top of the report shows them."""
-    page = calibration_page(Calibration.from_json(calibration))
+    page = calibration_page(piga.Calibration.from_json(calibration))
     blocks = next(section.blocks for section in page.sections if section.anchor == "coefficients")
     table = next(block for block in blocks if isinstance(block, Table))
     return {
