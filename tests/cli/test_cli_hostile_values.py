@@ -14,7 +14,7 @@ from piga.certificate import dcc
 from piga.compensation import result as compensated
 from piga.compensation.result import Compensated, write_rows
 from piga.errors import DataError, StoreError
-from piga.ledger.store.documents import write_new
+from piga.ledger.store.store import _write_new
 from tests.certificate.certificate_data import budgeted, changed, complete
 from tests.cli.runner import exit_code
 from tests.records.files import lines, write_log, write_run
@@ -109,7 +109,7 @@ def test_a_full_disk_leaves_no_cut_file(tmp_path: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with pytest.raises(StoreError, match="cannot be written"):
-        write_new(tmp_path / "a.csv", parts())
+        _write_new(tmp_path / "a.csv", parts())
     assert not list(tmp_path.iterdir())
 
 

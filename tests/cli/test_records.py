@@ -57,10 +57,10 @@ def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     assert re.search(r"k0 +0 \+/- [\d.]+ +ug +0\.00 u", same), same
     assert f"  {name}: {TYPE_A_ONLY}" in ok(records, "diff", "1", name, *LAB)
     assert json.loads(ok(records, "diff", "1", name, *LAB, "--json"))["notes"] == [f"{name}: {TYPE_A_ONLY}"]
-    assert head in ok(records, "backup", "copy.sqlite", *LAB)
-    assert head in ok(records, "restore", "copy.sqlite", "--store", "c.sqlite")
+    assert head in ok(records, "backup", "copy.zip", *LAB)
+    assert head in ok(records, "restore", "copy.zip", "--store", "c.sqlite")
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"run.csv", "run.toml", "x", "lab.sqlite", "lab.zip", "b.sqlite", "copy.sqlite", "c.sqlite"}
+    assert names == {"run.csv", "run.toml", "x", "lab.sqlite", "lab.zip", "b.sqlite", "copy.zip", "c.sqlite"}
 
 
 def test_a_list_says_what_is_superseded(tmp_path: Path, records: Command) -> None:
@@ -92,8 +92,8 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
     ("arguments", "message"),
     [
         (["list"], "Missing option '--store'"),
-        (["list", "--store", "none.sqlite"], "no such store"),
-        (["list", "--store", "text.txt"], "not an SQLite database"),
+        (["list", "--store", "none.sqlite"], "No such file"),
+        (["list", "--store", "text.txt"], "is not a store of records"),
         (["show", "77", "--store", "a.sqlite"], "no record 77"),
         (["show", "first", "--store", "a.sqlite"], "is not a record"),
         (
@@ -104,14 +104,14 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         (["verify", "--store", "bad.sqlite"], "damaged"),
         (["verify", "--store", "a.sqlite", "--head", "12"], "head 12: is not in this chain"),
         (["export", "a.sqlite", "--store", "a.sqlite"], "exists already"),
-        (["import", "text.txt", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "not a ZIP file"),
+        (["import", "text.txt", "--store", "a.sqlite", "--operator", "A", "--reason", "B"], "not a zip file"),
         (["backup", "missing/x", "--store", "a.sqlite"], "cannot be written"),
-        (["restore", "text.txt", "--store", "new.sqlite"], "not an SQLite database"),
+        (["restore", "text.txt", "--store", "new.sqlite"], "not a zip file"),
         (["reproduce", "--store", "a.sqlite"], "cannot be recomputed"),
         (["add", "none.toml", "--store", "new.sqlite", "--operator", "A", "--reason", "B"], "cannot be read"),
         (
             ["add", "none.toml", "--store", "text.txt", "--operator", "A", "--reason", "B"],
-            "not an SQLite database",
+            "is not a store of records",
         ),
     ],
 )

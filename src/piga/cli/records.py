@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 
 def _store_name(where: str) -> str:
     """Name of the store as printed, without the password of a URL."""
-    from piga.ledger.store.database import is_url, postgresql_database
+    from piga.ledger.store.database import Database
 
-    return postgresql_database(where).name if is_url(where) else where
+    return Database(where).name
 
 
 def _tell(where: str, head: Head, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
@@ -390,15 +390,8 @@ def backup(
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a verified copy of the store while it is in use.
-
-    For PostgreSQL the copy is a complete export.
-    """
-    from piga.ledger.store.transfer import backup as copy
-
-    with opened(store) as kept, progress("copying") as show:
-        copied = copy(kept, out, progress=show)
-    _tell_written(out, copied, as_json)
+    """Write a verified copy of the store while it is in use: an export of all records."""
+    export(out, store, as_json=as_json)
 
 
 @app.command()

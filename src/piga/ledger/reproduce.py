@@ -45,38 +45,20 @@ _UNCOMPARED = ("created", "software", "source")
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One number: stored value, recomputed value and allowed difference."""
-
-    name: str
-    stored: float
-    recomputed: float
-    allowed: float
-
-    @property
-    def agrees(self) -> bool:
-        """True if the difference is allowed."""
-        return self.stored == self.recomputed or abs(self.recomputed - self.stored) <= self.allowed
-
-
-@dataclass(frozen=True)
 class Comparison:
-    """``identical``: every number has the same bits. ``worst``: largest ratio of difference to allowed difference."""
+    """``identical``: every number has the same bits. ``worst``: largest ratio of difference to allowed difference.
+
+    ``differences`` are in words: everything that is neither equal nor within its tolerance.
+    """
 
     identical: bool
-    compared: tuple[Compared, ...]
+    worst: float
     differences: tuple[str, ...]
 
     @property
     def agrees(self) -> bool:
         """True if everything is equal or within its tolerance."""
         return not self.differences
-
-    @property
-    def worst(self) -> float:
-        """Largest ratio of difference to allowed difference; 0 if all are equal."""
-        shares = [abs(c.recomputed - c.stored) / c.allowed for c in self.compared if c.stored != c.recomputed]
-        return max(shares, default=0.0)
 
 
 def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
@@ -86,19 +68,18 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
     inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in digests}
     recomputed = replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
     identical = _numbers(stored) == _numbers(recomputed)
-    then, now = _facts(stored, former), _facts(recomputed, former)
+    facts, again = _facts(stored, former), _facts(recomputed, former)
     differences = [
-        f"{name}: {fact!r}, recomputed {now[name]!r}" for name, fact in then.items() if fact != now[name]
+        f"{name}: {fact!r}, recomputed {again[name]!r}" for name, fact in facts.items() if fact != again[name]
     ]
-    if differences:
-        return Comparison(identical, (), tuple(differences))
-    compared = tuple(_compared(stored, recomputed, former))
-    differences = [
-        f"{c.name}: {c.stored!r}, recomputed {c.recomputed!r}, allowed {c.allowed:.2g}"
-        for c in compared
-        if not c.agrees
+    numbers = [] if differences else [one for one in _compared(stored, recomputed, former) if one[1] != one[2]]
+    worst = max((abs(now - then) / allowed for _, then, now, allowed in numbers if allowed), default=0.0)
+    differences += [
+        f"{name}: {then!r}, recomputed {now!r}, allowed {allowed:.2g}"
+        for name, then, now, allowed in numbers
+        if not abs(now - then) <= allowed
     ]
-    return Comparison(identical, compared, tuple(differences))
+    return Comparison(identical, worst, tuple(differences))
 
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
@@ -119,22 +100,22 @@ def _facts(calibration: Calibration, former: bool) -> dict[str, Any]:
     return facts | {"inputs": calibration.provenance.input_sha256}
 
 
-def _compared(a: Calibration, b: Calibration, former: bool) -> Iterator[Compared]:
-    """Each number of two calibrations, with the difference allowed; of the former estimator the values alone."""
+def _compared(a: Calibration, b: Calibration, former: bool) -> Iterator[tuple[str, float, float, float]]:
+    """Name, both values and allowed difference of each number; of the former estimator the values alone."""
     share = _ESTIMATOR if former else ROUNDING
     for c, d in zip(a.coefficients, b.coefficients, strict=True):
-        yield Compared(c.key, c.value, _near(c, d), share * c.std)
+        yield c.key, c.value, _near(c, d), share * c.std
         if not former:
-            yield Compared(f"u({c.key})", c.std, d.std, share * c.std)
+            yield f"u({c.key})", c.std, d.std, share * c.std
     if former:
         return
     std = np.array([c.std for c in a.coefficients])
     allowed = share * np.outer(std, std)
     i, j = np.unravel_index(int(np.argmax(np.abs(a.covariance - b.covariance) - allowed)), allowed.shape)
     name = f"covariance ({a.coefficients[i].key}, {a.coefficients[j].key})"
-    yield Compared(name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(allowed[i, j]))
+    yield name, float(a.covariance[i, j]), float(b.covariance[i, j]), float(allowed[i, j])
     for name in ("angle_rms", "angle_random_walk", "residual_rms", "residual_rms_before"):
-        yield Compared(name, getattr(a, name), getattr(b, name), share * getattr(a, name))
+        yield name, getattr(a, name), getattr(b, name), share * getattr(a, name)
 
 
 def _near(stored: Coefficient, recomputed: Coefficient) -> float:
@@ -244,11 +225,6 @@ class Reproduced(Result):
         if self.comparison.identical:
             return "identical"
         return "within tolerance" if self.comparison.agrees and not self.same_platform else "different"
-
-    @property
-    def reproduced(self) -> bool:
-        """True if the record was reproduced."""
-        return self.verdict != "different"
 
 
 def reproduce(store: Store, name: str | int) -> Reproduced:

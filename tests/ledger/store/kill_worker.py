@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from piga.ledger.store import open_store
-from piga.ledger.store.transfer import backup, export_records, import_records
+from piga.ledger.store.transfer import export_records, import_records
 from tests.ledger.store.drafts import add
 
 
@@ -29,7 +29,6 @@ def work(operation: str, folder: Path, pipe: Connection, round_number: int) -> N
         elif operation == "export":
             with open_store(folder / "a.sqlite") as store:
                 export_records(store, folder / "all.zip", replace=True)
-                backup(store, folder / "copy.sqlite", replace=True)
             pipe.send([])
         else:
             open_store(folder / f"new-{index % 5}.sqlite", create=True).close()

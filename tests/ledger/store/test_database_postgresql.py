@@ -13,8 +13,7 @@ import pytest
 
 from piga.errors import StoreError
 from piga.ledger.store import open_store
-from piga.ledger.store.store import Store
-from piga.ledger.store.transfer import backup, export_records, import_records, restore, verify
+from piga.ledger.store.transfer import export_records, import_records, restore, verify
 from tests.ledger.store import drafts
 from tests.ledger.store.drafts import add, content, filled
 from tests.ledger.store.postgres_server import missing, server
@@ -125,31 +124,20 @@ def test_between_the_two_databases(socket: Path, tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 3, size=3_000_000) as store:
         head = store.head().sha256
         names = [record.id for record in store.records()]
+        export_records(store, tmp_path / "a.zip")
     url = new_database(socket, "restored")
-    assert restore(tmp_path / "a.sqlite", url).head == head
+    assert restore(tmp_path / "a.zip", url).head == head
     with pytest.raises(StoreError, match="there is a store already"):
-        restore(tmp_path / "a.sqlite", url)
+        restore(tmp_path / "a.zip", url)
     with open_store(url) as store:
         assert store.read(names[1], "data") == content("a.sqlite-1", 3_000_000)
-        assert backup(store, tmp_path / "backup.zip").head == head
+        assert export_records(store, tmp_path / "backup.zip").head == head
         export_records(store, tmp_path / "two.zip", names[:2])
     assert restore(tmp_path / "backup.zip", tmp_path / "again.sqlite").head == head
     other = new_database(socket, "other")
     with open_store(other, create=True) as store:
         assert import_records(store, tmp_path / "two.zip", "A", "merge") == names[:2]
     assert verify(other).sound
-
-
-def test_a_serial_that_postgresql_cannot_index(
-    socket: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Piga 0.1 took serials of any length into SQLite; the message named a full disk."""
-    serial = "".join(random.Random(1).choices("abcdefghijklmnopqrstuvwxyz0123456789", k=8000))
-    with open_store(tmp_path / "a.sqlite", create=True) as store, monkeypatch.context() as patch:
-        patch.setattr(Store, "check", lambda *_: None)
-        add(store, serial=serial)
-    with pytest.raises(StoreError, match="a serial is too long for PostgreSQL"):
-        restore(tmp_path / "a.sqlite", new_database(socket, "long_serial"))
 
 
 def test_messages(socket: Path) -> None:

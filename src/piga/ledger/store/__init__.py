@@ -36,7 +36,6 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
             "the store of records needs the extra 'records', which is not installed",
             remedy=f"install it with: {install_command('records')}",
         )
-    from piga.ledger.store.database import open_database
     from piga.ledger.store.store import Store
 
-    return Store(open_database(where, create=create))
+    return Store(where, create=create)

@@ -8,23 +8,19 @@ Each file is stored once, under its SHA-256, in parts of a megabyte.
 from __future__ import annotations
 
 import hashlib
-import os
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import BigInteger, CheckConstraint, Column, ForeignKey, Integer, LargeBinary, Table, Text
 from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
-from sqlalchemy.pool import NullPool, StaticPool
+from sqlalchemy.pool import NullPool
 
 from piga.errors import StoreError, install_command
 from piga.ledger.store.documents import PART, Entry, Head, RecordDocument, new_identity, sha256
-from piga.output import write_whole
-from piga.records.limits import open_regular
 
 metadata = sa.MetaData()
 
@@ -84,26 +80,36 @@ SCHEMA = 1
 _BUSY = 60.0
 """Longest time that a writer waits for another writer [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
-_MAGIC = b"SQLite format 3\x00"
 _DAMAGED = "run piga records verify, then restore a backup"
-_WORDS = (
-    ("disk is full", "no space is left", "free some space"),
-    ("no space left", "no space is left", "free some space"),
-    ("index row size", "a serial is too long for PostgreSQL", "restore into a SQLite file"),
-    ("readonly", "it cannot be written to", "check the rights of the file and its folder"),
-    ("locked", "another program holds it", "try again when that has ended"),
-    ("disk i/o", "the disk reported an error", "check the disk; piga records verify shows what is stored"),
-    ("malformed", "the file is damaged", _DAMAGED),
-    ("not a database", "the file is damaged", _DAMAGED),
-    ("could not decode", "the file is damaged", _DAMAGED),
-)
+_NO_SPACE = "no space is left", "free some space"
+_WORDS = {
+    "disk is full": _NO_SPACE,
+    "no space left": _NO_SPACE,
+    "readonly": ("it cannot be written to", "check the rights of the file and its folder"),
+    "unable to open": ("it cannot be opened", "check its folder, and the rights of both"),
+    "locked": ("another program holds it", "try again when that has ended"),
+    "malformed": ("the file is damaged", _DAMAGED),
+    "decode": ("the file is damaged", _DAMAGED),
+    "not a database": ("is not a store of records, or is damaged", "check --store, or restore a backup"),
+}
+"""What a message of a database means, and its remedy."""
 
 
 class Database:
-    """Connections to one store, with the transactions :meth:`reading` and :meth:`writing`."""
+    """One SQLite file, or a PostgreSQL database by URL, with the transactions :meth:`reading` and :meth:`writing`.
 
-    def __init__(self, name: str, engine: sa.Engine, path: Path | None) -> None:
-        self.name, self.engine, self.path = name, engine, path
+    SQLite rolls back by itself what a killed writer left.
+    """
+
+    def __init__(self, where: str | Path, *, new: bool = False) -> None:
+        self.path = None if is_url(where) else Path(where)
+        if self.path is None:
+            self.name, self.engine = _postgresql(str(where))
+            return
+        mode = "rwc" if new else "rw"
+        self.name, uri = str(where), f"{self.path.resolve().as_uri()}?mode={mode}"
+        self.engine = sa.create_engine("sqlite://", creator=lambda: _connect(uri), poolclass=NullPool)
+        sa.event.listen(self.engine, "begin", _begin)
 
     @contextmanager
     def reading(self) -> Iterator[Rows]:
@@ -127,30 +133,19 @@ class Database:
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
                 yield Rows(connection)
 
-
-@contextmanager
-def explained(name: str) -> Iterator[None]:
-    """Turn a database error into one clear message."""
-    try:
-        yield
-    except UnicodeDecodeError as error:
-        raise StoreError(f"{name}: the file is damaged ({error})", remedy=_DAMAGED) from None
-    except (
-        DBAPIError,
-        ArgumentError,
-        NoResultFound,
-        MultipleResultsFound,
-        OverflowError,
-        sqlite3.Error,
-    ) as error:
-        cause = getattr(error, "orig", None) or error
-        text = " ".join(str(cause).split())
-        for word, what, remedy in _WORDS:
-            if word in text.lower():
-                raise StoreError(f"{name}: {what} ({text})", remedy=remedy) from None
-        raise StoreError(
-            f"{name}: the database refused ({text})", remedy="check the name, the server and the rights"
-        ) from None
+    def check_version(self) -> None:
+        """Read whether there is a store, and the version of its tables, before anything is written."""
+        with self.reading() as rows:
+            version = rows.version()
+        if version == 0:
+            raise StoreError(
+                f"{self.name}: holds no store yet", remedy="check --store; piga records add makes a new store"
+            )
+        if version != SCHEMA:
+            raise StoreError(
+                f"{self.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
+                remedy="update piga; the store was not touched",
+            )
 
 
 def is_url(where: str | Path) -> bool:
@@ -158,70 +153,7 @@ def is_url(where: str | Path) -> bool:
     return str(where).startswith(("postgresql://", "postgres://", "postgresql+psycopg://"))
 
 
-def open_database(where: str | Path, *, create: bool = False, identity: bytes | None = None) -> Database:
-    """Open the database of a store: a SQLite file, or PostgreSQL by URL. A hot journal is rolled back.
-
-    ``create``: make the store if there is none, with this ``identity`` (for restore) or a random one.
-    """
-    if is_url(where):
-        return _open_postgresql(str(where), create, identity)
-    return _open_sqlite(Path(where), create, identity)
-
-
-def _open_sqlite(path: Path, create: bool, identity: bytes | None) -> Database:
-    writable = _writable(path)
-    if not _exists(path) and create:
-        try:
-            write_whole(
-                path, lambda part: part.write_bytes(new_sqlite(identity)), replace=False, kind=StoreError
-            )
-        except StoreError:
-            if not _exists(path):
-                raise
-        writable = True
-    _check_file(path)
-    mode = "rw" if writable else "ro"
-    uri = f"{path.resolve().as_uri()}?mode={mode}"
-    database = Database(str(path), _sqlite_engine(lambda: connect_sqlite(uri), NullPool), path)
-    if writable and path.with_name(f"{path.name}-journal").exists():
-        _roll_back(uri)
-    _check_version(database)
-    return database
-
-
-def _writable(path: Path) -> bool:
-    return os.access(path if _exists(path) else path.parent, os.W_OK) and os.access(path.parent, os.W_OK)
-
-
-def _exists(path: Path) -> bool:
-    """True if the file exists; False also for an impossible file name."""
-    try:
-        return path.exists()
-    except OSError:
-        return False
-
-
-def _check_file(path: Path) -> None:
-    """Check that the file is a SQLite database with piga's application id."""
-    try:
-        if not path.is_file():
-            raise StoreError(
-                f"{path}: there is no such store", remedy="check --store; piga records add makes a new store"
-            )
-        with open_regular(path, error=StoreError) as stream:
-            header = stream.read(100)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check its rights") from None
-    if header[:16] != _MAGIC or len(header) < 100:
-        raise StoreError(
-            f"{path}: is not a store of records (not an SQLite database)",
-            remedy="check --store, or restore a backup",
-        )
-    if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
-        raise StoreError(f"{path}: a SQLite database of another program", remedy="check --store")
-
-
-def connect_sqlite(uri: str) -> sqlite3.Connection:
+def _connect(uri: str) -> sqlite3.Connection:
     """A SQLite connection with the settings of a store."""
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=_BUSY, check_same_thread=False)
     for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
@@ -229,56 +161,13 @@ def connect_sqlite(uri: str) -> sqlite3.Connection:
     return connection
 
 
-def _sqlite_engine(connect: Callable[[], sqlite3.Connection], pool: Any) -> sa.Engine:
-    engine = sa.create_engine("sqlite://", creator=connect, poolclass=pool)
-
-    @sa.event.listens_for(engine, "begin")
-    def _begin(connection: sa.Connection) -> None:
-        writing = connection.get_execution_options().get("piga_writing", False)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
-
-    return engine
+def _begin(connection: sa.Connection) -> None:
+    writing = connection.get_execution_options().get("piga_writing", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
 
 
-def new_sqlite(identity: bytes | None) -> bytes:
-    """The bytes of an empty store, created in memory."""
-    with closing(sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)) as memory:
-        database = Database("new store", _sqlite_engine(lambda: memory, StaticPool), Path(":memory:"))
-        with database.writing() as rows:
-            rows.connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
-            rows.connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
-            rows.create(identity)
-        return memory.serialize()
-
-
-def _roll_back(uri: str) -> None:
-    """Let SQLite roll back the transaction of a killed writer, and remove an empty journal.
-
-    The journal of a running writer is locked. It is not touched.
-    """
-    with closing(connect_sqlite(uri)) as connection, suppress(sqlite3.Error):
-        connection.execute("PRAGMA busy_timeout=0")
-        connection.execute("BEGIN IMMEDIATE")
-        (version,) = connection.execute("PRAGMA user_version").fetchone()
-        connection.execute(f"PRAGMA user_version={int(version)}")
-        connection.execute("COMMIT")
-
-
-def _check_version(database: Database) -> None:
-    """Read the version of the tables before anything is written."""
-    with database.reading() as rows:
-        version = rows.version()
-    if version > SCHEMA:
-        raise StoreError(
-            f"{database.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
-            remedy="update piga; the store was not touched",
-        )
-    if version != SCHEMA:
-        raise StoreError(f"{database.name}: the version of its tables is missing", remedy=_DAMAGED)
-
-
-def postgresql_database(where: str) -> Database:
-    """Connections to a PostgreSQL database. Its content is not checked."""
+def _postgresql(where: str) -> tuple[str, sa.Engine]:
+    """Name of a database without its password, and its engine."""
     try:
         import psycopg  # noqa: F401 - only whether it is there
     except ImportError:
@@ -292,24 +181,28 @@ def postgresql_database(where: str) -> Database:
         raise StoreError(
             "the URL of the store is not valid", remedy="e.g. postgresql://user@server/database"
         ) from None
-    engine = sa.create_engine(url, poolclass=NullPool)
-    return Database(url.render_as_string(hide_password=True), engine, None)
+    return url.render_as_string(hide_password=True), sa.create_engine(url, poolclass=NullPool)
 
 
-def _open_postgresql(where: str, create: bool, identity: bytes | None) -> Database:
-    database = postgresql_database(where)
-    with database.reading() as rows:
-        version = rows.version()
-    if version == 0 and not create:
-        raise StoreError(
-            f"{database.name}: holds no store yet", remedy="piga records add makes a store in an empty database"
+@contextmanager
+def explained(name: str) -> Iterator[None]:
+    """Turn a database error into one clear message."""
+    try:
+        yield
+    except (
+        DBAPIError,
+        NoResultFound,
+        MultipleResultsFound,
+        OverflowError,
+        UnicodeDecodeError,
+        sqlite3.Error,
+    ) as error:
+        text = " ".join(str(getattr(error, "orig", None) or error).split())
+        what, remedy = next(
+            (words for part, words in _WORDS.items() if part in text.lower()),
+            ("the database refused", "check the name, the server and the rights"),
         )
-    if version == 0:
-        with database.writing() as rows:
-            if rows.version() == 0:
-                rows.create(identity)
-    _check_version(database)
-    return database
+        raise StoreError(f"{name}: {what} ({text})", remedy=remedy) from None
 
 
 # -- rows ----------------------------------------------------------------------------------------------
@@ -324,8 +217,11 @@ class Rows:
     def __init__(self, connection: sa.Connection) -> None:
         self.connection = connection
 
-    def create(self, identity: bytes | None) -> None:
+    def create(self, identity: bytes | None = None) -> None:
         """Create the tables of a new store, with its identity, its head and the version of the tables."""
+        if self.connection.dialect.name == "sqlite":
+            self.connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+            self.connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
         metadata.create_all(self.connection)
         document = identity or new_identity()
         self.connection.execute(VERSION.insert().values(version_num=f"{SCHEMA:04d}"))
@@ -335,7 +231,13 @@ class Rows:
     def version(self) -> int:
         """Version of the tables; 0 if there are none yet."""
         if self.connection.dialect.name == "sqlite":
-            return int(self.connection.exec_driver_sql("PRAGMA user_version").scalar_one())
+            owner, version = (
+                int(self.connection.exec_driver_sql(f"PRAGMA {mark}").scalar_one())
+                for mark in ("application_id", "user_version")
+            )
+            if owner != APPLICATION_ID and sa.inspect(self.connection).get_table_names():
+                raise StoreError("it is a SQLite database of another program", remedy="check --store")
+            return version if owner == APPLICATION_ID else 0
         if not sa.inspect(self.connection).has_table(VERSION.name):
             return 0
         return int(self.connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none() or 0)
@@ -378,22 +280,22 @@ class Rows:
 
     def file(self, name: str) -> Iterator[bytes]:
         """The bytes of a stored file. Each part is checked, and the whole file at the end."""
-        wanted = sa.select(BLOB.c.size, CHUNK.c.part, CHUNK.c.codec, CHUNK.c.digest, CHUNK.c.data)
-        wanted = wanted.outerjoin(CHUNK).where(BLOB.c.sha256 == name).order_by(CHUNK.c.part)
-        digest, length, size = hashlib.sha256(), 0, None
+        size = self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).scalar()
+        if size is None:
+            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+        wanted = sa.select(CHUNK).where(CHUNK.c.sha256 == name).order_by(CHUNK.c.part)
+        digest, length = hashlib.sha256(), 0
         with self.connection.execute(wanted, execution_options={"yield_per": _PARTS}) as stored:
             for number, row in enumerate(stored):
-                size = row.size
-                if row.part is None:  # a file without content
-                    break
-                part = _unpacked(name, row)
-                if row.part != number:
+                part = _as_bytes(row.data, f"file {name[:12]}")
+                if (row.part, row.digest) != (number, sha256(part)) or row.codec not in ("plain", "zlib"):
                     raise _damaged(name)
+                if row.codec == "zlib":
+                    with suppress(zlib.error):  # then the digest of the whole is another
+                        part = zlib.decompressobj().decompress(part, PART)
                 digest.update(part)
                 length += len(part)
                 yield part
-        if size is None:
-            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
         if (digest.hexdigest(), length) != (name, size):
             raise _damaged(name)
 
@@ -403,7 +305,7 @@ class Rows:
             return
         self.connection.execute(BLOB.insert().values(sha256=name, size=size))
         digest, length = hashlib.sha256(), 0
-        for number, part in enumerate(_evenly(parts)):
+        for number, part in enumerate(parts):
             digest.update(part)
             length += len(part)
             codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
@@ -420,7 +322,8 @@ class Rows:
 def entry_of(row: sa.Row) -> Entry:
     """A row of the chain as the bytes that are hashed."""
     what = f"record {row.number}"
-    return Entry(row.number, _as_bytes(row.link, what), _as_bytes(row.document, what))
+    link, document = _as_bytes(row.link, what), _as_bytes(row.document, what)
+    return Entry(row.number, link, document, (row.head, row.id, row.serial))
 
 
 def _as_bytes(value: object, what: str) -> bytes:
@@ -428,34 +331,6 @@ def _as_bytes(value: object, what: str) -> bytes:
     if not isinstance(value, bytes | memoryview):
         raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
     return bytes(value)
-
-
-def _evenly(parts: Iterable[bytes]) -> Iterator[bytes]:
-    """The same bytes in parts of exactly :data:`PART`."""
-    rest = b""
-    for part in parts:
-        rest += part
-        while len(rest) >= PART:
-            yield rest[:PART]
-            rest = rest[PART:]
-    if rest:
-        yield rest
-
-
-def _unpacked(name: str, row: sa.Row) -> bytes:
-    data = _as_bytes(row.data, f"file {name[:12]}")
-    if sha256(data) != row.digest or row.codec not in ("plain", "zlib"):
-        raise _damaged(name)
-    if row.codec == "plain":
-        return data
-    unpacker = zlib.decompressobj()
-    try:
-        part = unpacker.decompress(data, PART)
-    except zlib.error:
-        raise _damaged(name) from None
-    if not unpacker.eof or unpacker.unused_data:
-        raise _damaged(name)
-    return part
 
 
 def _damaged(name: str) -> StoreError:

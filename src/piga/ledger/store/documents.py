@@ -21,7 +21,6 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
-from piga.output import write_whole
 from piga.records.limits import check_label, open_regular
 from piga.records.text_files import JsonError, json_object
 from piga.results import Result
@@ -44,24 +43,6 @@ def safe_name(name: str) -> PurePosixPath:
             remedy="use letters, digits and plain folders, relative to the run",
         )
     return PurePosixPath(name)
-
-
-def write_new(path: Path, parts: Iterator[bytes]) -> None:
-    """Write a new file. It appears under its name when it is complete, or not at all."""
-
-    def write(part: Path) -> None:
-        with part.open("wb") as stream:
-            stream.writelines(parts)
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
-        ) from None
-    if path.exists():
-        raise StoreError(f"{path}: exists already", remedy="extract into an empty folder")
-    write_whole(path, write, replace=False, remedy="choose another folder", kind=StoreError)
 
 
 IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
@@ -153,7 +134,7 @@ def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
     return digest.hexdigest(), size
 
 
-def parts_of(path: Path) -> Iterator[bytes]:
+def _parts_of(path: Path) -> Iterator[bytes]:
     """The bytes of a file, in parts."""
     try:
         with open_regular(path, error=StoreError) as stream:
@@ -228,60 +209,13 @@ def moment(text: str) -> datetime:
 
 def checked_text(name: str, text: str) -> str:
     """Check a line of text about a record: not empty, not too long, no control characters."""
-    text = text.strip()
-    if not text or len(text) > _MAX_TEXT or _CONTROL.search(text):
-        raise ArgumentError(
-            f"{name}: must be one line of 1 to {_MAX_TEXT} letters", remedy=f"say in words: {name} = '...'"
-        )
-    return text
+    _check_texts(name, text.strip())
+    if not text.strip():
+        raise ArgumentError(f"{name}: is empty", remedy=f"say in words: {name} = '...'")
+    return text.strip()
 
 
-def _checked_moment(name: str, text: str) -> str:
-    """Check a date or time in ISO form and return it unchanged."""
-    try:
-        year = moment(text).year
-    except (ValueError, OverflowError):
-        raise ArgumentError(
-            f"{name}: '{text[:40]}' is not a date", remedy="write 2026-11-20 or 2026-11-20T09:30:00+01:00"
-        ) from None
-    if not 1900 <= year < 2200:
-        raise ArgumentError(
-            f"{name}: '{text[:40]}' is not of the years 1900 to 2199", remedy="correct the year"
-        )
-    return text
-
-
-def check_record(document: RecordDocument) -> None:
-    """Refuse a record that a command could not show. The same check applies to added and imported records."""
-    for name, text in (("id", document.id), ("supersedes", document.supersedes)):
-        if text is not None and not is_id(text):
-            raise ArgumentError(f"{name}: '{text[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
-    check_label(document.serial, "the serial")
-    _checked_moment("created", document.created)
-    if document.measured is not None:
-        _checked_moment("measured", document.measured)
-    for name in ("operator", "reason"):
-        if checked_text(name, getattr(document, name)) != getattr(document, name):
-            raise ArgumentError(f"{name}: begins or ends with a space", remedy="leave it out")
-    for name, value in (("request", document.request), ("software", document.software)):
-        _check_plain(name, value)
-    if len(document.files) > _MAX_FILES:
-        raise ArgumentError(
-            f"files: {len(document.files)}, more than {_MAX_FILES}", remedy="pack them into one archive"
-        )
-    for file in document.files:
-        safe_name(file.name)
-        check_label(file.role, "the role of a file")
-        if not is_digest(file.sha256) or file.size < 0:
-            raise ArgumentError(
-                f"file '{file.name}': its SHA-256 or size is not valid",
-                remedy="64 digits 0-9 and a-f, and 0 bytes or more",
-            )
-    if len({file.name for file in document.files}) != len(document.files):
-        raise ArgumentError("files: two have the same name", remedy="give each file a name of its own")
-
-
-def _check_plain(name: str, value: Any, depth: int = 8) -> None:
+def _check_texts(name: str, value: Any, depth: int = 8) -> None:
     """Check that each text of a nested value fits into one line of a list."""
     if isinstance(value, str) and (len(value) > _MAX_TEXT or _CONTROL.search(value)):
         raise ArgumentError(
@@ -292,7 +226,43 @@ def _check_plain(name: str, value: Any, depth: int = 8) -> None:
     if parts and not depth:
         raise ArgumentError(f"{name}: nested more than eight deep", remedy="use fewer levels")
     for part in parts:
-        _check_plain(name, part, depth - 1)
+        _check_texts(name, part, depth - 1)
+
+
+def check_record(document: RecordDocument) -> None:
+    """Refuse a record that a command could not show. The same check applies to added and imported records."""
+    for name, text in (("id", document.id), ("supersedes", document.supersedes)):
+        if text is not None and not is_id(text):
+            raise ArgumentError(f"{name}: '{text[:40]}' is not the name of a record", remedy="e.g. 7K3QP-9XW2M")
+    check_label(document.serial, "the serial")
+    for name, text in (("created", document.created), ("measured", document.measured)):
+        if text is not None:
+            _check_moment(name, text)
+    for name, text in (("operator", document.operator), ("reason", document.reason)):
+        if checked_text(name, text) != text:
+            raise ArgumentError(f"{name}: begins or ends with a space", remedy="leave it out")
+    _check_texts("request", document.request)
+    _check_texts("software", document.software)
+    if len(document.files) > _MAX_FILES:
+        raise ArgumentError(
+            f"files: {len(document.files)}, more than {_MAX_FILES}", remedy="pack them into one archive"
+        )
+    for file in document.files:
+        safe_name(file.name)
+        check_label(file.role, "the role of a file")
+    if len({file.name for file in document.files}) != len(document.files):
+        raise ArgumentError("files: two have the same name", remedy="give each file a name of its own")
+
+
+def _check_moment(name: str, text: str) -> None:
+    """Check a date or time in ISO form, of a year in which somebody may have measured."""
+    with suppress(ValueError, OverflowError):
+        if 1900 <= moment(text).year < 2200:
+            return
+    raise ArgumentError(
+        f"{name}: '{text[:40]}' is not a date of the years 1900 to 2199",
+        remedy="write 2026-11-20 or 2026-11-20T09:30:00+01:00",
+    )
 
 
 @dataclass(frozen=True)
@@ -327,7 +297,9 @@ class DraftFile:
 
     def parts(self) -> Iterator[bytes]:
         """The bytes of the file, in parts."""
-        return iter((self.source,)) if isinstance(self.source, bytes) else parts_of(self.source)
+        if isinstance(self.source, bytes):
+            return (self.source[at : at + PART] for at in range(0, len(self.source), PART))
+        return _parts_of(self.source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -346,11 +318,15 @@ class Draft(Result):
 
 @dataclass(frozen=True)
 class Entry:
-    """A link and its record, as the bytes that are hashed. ``document`` is None if an export leaves the record out."""
+    """A link and its record, as the bytes that are hashed. ``document`` is None if an export leaves the record out.
+
+    ``columns`` are head, id and serial, as the table of a store repeats them.
+    """
 
     number: int
     link: bytes
     document: bytes | None
+    columns: tuple[str, str, str] | None = None
 
 
 @dataclass(frozen=True)

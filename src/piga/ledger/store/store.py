@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterator
 from datetime import datetime
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError
-from piga.ledger.store.database import ENTRY, Database, Rows, entry_of
+from piga.ledger.store.database import ENTRY, Database, Rows, entry_of, is_url
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
@@ -33,10 +34,11 @@ from piga.ledger.store.documents import (
     now,
     safe_name,
     sha256,
-    write_new,
 )
+from piga.output import write_whole
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
+from piga.records.limits import open_regular
 
 if TYPE_CHECKING:
     import sqlalchemy as sa
@@ -45,14 +47,21 @@ _INPUT_ROLES = ("run", "data", "sidecar", "stand")
 """Roles of the files that a calibration is computed from."""
 
 
-class Store:
+class Store(Database):
     """A store of records, opened by :func:`piga.open_store`. Use it in a ``with`` block or close it.
 
-    ``database`` is from :func:`piga.ledger.store.database.open_database`.
+    ``where`` is a SQLite file, or the URL of a PostgreSQL database. ``create`` makes the store if there is none.
     """
 
-    def __init__(self, database: Database) -> None:
-        self.database = database
+    def __init__(self, where: str | Path, *, create: bool = False) -> None:
+        if not is_url(where) and (os.path.exists(where) or not create):  # noqa: PTH110 - Path.exists refuses long names
+            open_regular(Path(where), "a store; piga records add makes a new one", StoreError).close()
+        super().__init__(where, new=create)
+        if create:
+            with self.writing() as rows:
+                if rows.version() == 0:
+                    rows.create()
+        self.check_version()
 
     def __enter__(self) -> Self:
         return self
@@ -62,21 +71,16 @@ class Store:
 
     def close(self) -> None:
         """Close the connection."""
-        self.database.engine.dispose()
-
-    @property
-    def name(self) -> str:
-        """File or URL, without a password."""
-        return self.database.name
+        self.engine.dispose()
 
     def identity(self) -> Identity:
         """Identity document of the store."""
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             return _identity(rows)
 
     def head(self) -> Head:
         """The current head of the chain."""
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             return rows.head()
 
     def records(self, serial: str | None = None) -> tuple[Record, ...]:
@@ -85,7 +89,7 @@ class Store:
 
     def each(self, serial: str | None = None) -> Iterator[Record]:
         """As :meth:`records`, but one by one, for stores whose records do not fit into memory."""
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             yield from self._each(rows, serial)
 
     def superseded(self, serial: str | None = None) -> set[str]:
@@ -100,7 +104,7 @@ class Store:
         StoreError
             If there is no such record.
         """
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             return self._find(rows, str(name))
 
     def read(self, name: str | int, role: str) -> bytes:
@@ -111,7 +115,7 @@ class Store:
         StoreError
             If there is no such record or file, or it is damaged.
         """
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             record = self._find(rows, str(name))
             file = record.file(role)
             if file is None:
@@ -130,7 +134,7 @@ class Store:
         out, and a :class:`piga.PigaWarning` names it.
         """
         calibrations = []
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             kept = sorted(self._each(rows, serial), key=lambda record: (record.measured, record.number))
             old = {record.document.supersedes for record in kept}
             for record in kept:
@@ -155,13 +159,13 @@ class Store:
             If a name would lead out of the folder, or a file exists already.
         """
         run = folder
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             for file in self._find(rows, str(name)).document.files:
                 if inputs_only and file.role not in _INPUT_ROLES:
                     continue
                 path = folder / safe_name(file.name)
                 run = path if file.role == "run" else run
-                write_new(path, rows.file(file.sha256))
+                _write_new(path, rows.file(file.sha256))
         return run
 
     def append(self, make: Callable[[Position], Draft]) -> Record:
@@ -177,7 +181,7 @@ class Store:
         StoreError, ArgumentError
             If the record is refused; the store is unchanged.
         """
-        with self.database.writing() as rows:
+        with self.writing() as rows:
             head = rows.head()
             place = Position(new_id(), head.number + 1, _identity(rows).store, head.sha256)
             document = self._document(rows, place, make(place))
@@ -190,7 +194,6 @@ class Store:
         """Append a record document whose files are stored: with a new link, or with the given link unchanged."""
         head = rows.head()
         if link is None:
-            self._check_clock(rows, head)
             link = encode(Link(LINK, head.number + 1, head.sha256, sha256(document), now(), taken_over))
         entry = Entry(head.number + 1, link, document)
         rows.add(entry, decode(document, RecordDocument, RECORD, "record"))
@@ -199,11 +202,10 @@ class Store:
     def _document(self, rows: Rows, place: Position, draft: Draft) -> RecordDocument:
         files = []
         for file in draft.files:
-            safe_name(file.name)
             digest, size = digest_of(file.parts())
             if file.sha256 not in (None, digest):
                 raise StoreError(
-                    f"{file.name}: changed after it was read (its SHA-256 differs)",
+                    f"{file.name}: is not the file that the calibration was computed from (its SHA-256 differs)",
                     remedy="calibrate again, with the files as they are now",
                 )
             rows.add_file(digest, size, file.parts())
@@ -248,7 +250,7 @@ class Store:
 
     def amendable(self, name: str, serial: str) -> str:
         """Name of a record that a new record of this instrument may supersede; ``name`` may be its number."""
-        with self.database.reading() as rows:
+        with self.reading() as rows:
             old = self._find(rows, name)
             self._check_amended(rows, old.id, serial, old)
             return old.id
@@ -265,16 +267,6 @@ class Store:
                     f"supersedes: record {name} is superseded already, by {other.id}",
                     remedy=f"supersede {other.id}",
                 )
-
-    def _check_clock(self, rows: Rows, head: Head) -> None:
-        last = rows.find(ENTRY.c.number == head.number)
-        added = "" if last is None else decode(entry_of(last).link, Link, LINK, "link").added
-        if now() < added:
-            warnings.warn(
-                f"{self.name}: the clock is behind the last record ({added}); the order of the chain holds",
-                PigaWarning,
-                stacklevel=4,
-            )
 
     def _find(self, rows: Rows, name: str) -> Record:
         text = name.strip().upper()
@@ -296,6 +288,22 @@ class Store:
         what, entry = f"{self.name}: record {row.number}", entry_of(row)
         link = decode(entry.link, Link, LINK, what)
         return Record(row.number, row.head, link, decode(entry.document or b"", RecordDocument, RECORD, what))
+
+
+def _write_new(path: Path, parts: Iterator[bytes]) -> None:
+    """Write a new file. It appears under its name when it is complete, or not at all."""
+
+    def write(part: Path) -> None:
+        with part.open("wb") as stream:
+            stream.writelines(parts)
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
+        ) from None
+    write_whole(path, write, replace=False, remedy="choose another folder", kind=StoreError)
 
 
 def _identity(rows: Rows) -> Identity:

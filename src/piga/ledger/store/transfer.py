@@ -1,37 +1,31 @@
-"""Verify a store or an export, and transfer records: export, import (onto another chain), backup and restore (the same chain).
+"""Verify a store or an export, and transfer records: export, import (onto another chain), restore (the same chain).
 
-Verification checks every byte that a record is read from, and names every fault.
+An export is a ZIP file of records with a README. The chain proves links, records and files; ``SHA256SUMS`` has all members:
+``README.txt``, ``manifest.json``, ``SHA256SUMS``, ``store.json`` (identity), ``links/N.json`` (all of them), ``records/N.json``
+and ``files/SHA256`` (of the chosen records). The same store and the same piga give the same bytes.
 """
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, closing
+import json
+import re
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 import sqlalchemy as sa
 
+from piga._version import __version__
 from piga.errors import CancelledError, PigaError, StoreError
-from piga.ledger.store.database import (
-    ENTRY,
-    HEAD,
-    SCHEMA,
-    STORE,
-    VERSION,
-    Rows,
-    connect_sqlite,
-    entry_of,
-    explained,
-    is_url,
-    new_sqlite,
-    open_database,
-    postgresql_database,
-)
+from piga.ledger.store.database import ENTRY, HEAD, SCHEMA, STORE, VERSION, Database, Rows, entry_of, is_url
 from piga.ledger.store.documents import (
     IDENTITY,
     LINK,
+    PART,
     RECORD,
     Entry,
     Head,
@@ -46,10 +40,190 @@ from piga.ledger.store.documents import (
     is_digest,
     sha256,
 )
-from piga.ledger.store.export import Export, is_export, write_members
 from piga.ledger.store.store import Store
 from piga.output import write_whole
 from piga.progress import Progress, report
+from piga.records.limits import open_regular
+from piga.records.text_files import JsonError, json_object
+
+_EXPORT = "piga.export/1"
+_MAX_MEMBERS = 1_000_000
+_MAX_DOCUMENT = 16 << 20
+"""Largest link or record document [bytes]."""
+_MAX_SUMS = 160 * _MAX_MEMBERS
+"""Largest ``SHA256SUMS`` [bytes]: at most 137 bytes for each member."""
+_MAX_FILE = 16 << 30
+"""Largest file [bytes]."""
+_MEMBER = re.compile(
+    r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
+)
+
+_README = """\
+This is an export of calibration records by piga. It can be checked with unzip and sha256sum alone.
+
+  sha256sum -c SHA256SUMS      every member is what it was
+
+store.json is the identity of the store. links/N.json is the N-th link of its chain, records/N.json the record
+it vouches for, files/X the file with the SHA-256 X. The chain holds when
+
+  "previous" of links/00000001.json is the SHA-256 of store.json,
+  "previous" of each later link is the SHA-256 of the link before it,
+  "record" of each link is the SHA-256 of its record,
+  each file that a record lists is there under its SHA-256.
+
+The SHA-256 of the last link is the head. A head noted earlier (every report of a record prints one) is the
+SHA-256 of one of the links: then nothing up to that link was altered since.
+"""
+
+
+def _write_members(rows: Rows, path: Path, numbers: set[int] | None, progress: Progress | None) -> None:
+    """Write an export: all links, and the records with the given numbers (None: all) with their files."""
+    digests: dict[str, str] = {}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as target:
+
+        def add(name: str, data: bytes) -> None:
+            target.writestr(_member(name), data)
+            digests[name] = sha256(data)
+
+        identity = rows.identity()
+        add("README.txt", _README.encode())
+        add("store.json", identity)
+        head, number, wanted = sha256(identity), 0, set()
+        for entry in rows.entries():
+            head, number = sha256(entry.link), entry.number
+            add(f"links/{number:08d}.json", entry.link)
+            if entry.document is not None and (numbers is None or number in numbers):
+                add(f"records/{number:08d}.json", entry.document)
+                document = decode(entry.document, RecordDocument, RECORD, "record")
+                wanted |= {file.sha256 for file in document.files}
+        for done, name in enumerate(sorted(wanted), start=1):
+            with target.open(_member(f"files/{name}"), "w", force_zip64=True) as stream:
+                stream.writelines(rows.file(name))
+            digests[f"files/{name}"] = name
+            report(progress, done, len(wanted), "writing")
+        manifest = {
+            "schema": _EXPORT,
+            "software": f"piga {__version__}",
+            "records": number if numbers is None else len(numbers),
+            "links": number,
+            "head": head,
+        }
+        add("manifest.json", json.dumps(manifest, indent=1, sort_keys=True).encode())
+        add("SHA256SUMS", _listing(digests))
+
+
+def _listing(digests: dict[str, str]) -> bytes:
+    return "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    member = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+    member.compress_type, member.create_system, member.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
+    return member
+
+
+class Export:
+    """An export opened for reading. Its members, their sizes and ``SHA256SUMS`` are checked when it is opened."""
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        self._stream = open_regular(path, "an export of records", StoreError)
+        try:  # what was opened is read, even if another file replaces it now
+            self.zip = zipfile.ZipFile(self._stream)
+            self.members = self._checked_members()
+            self._check_sums()
+        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+            self._stream.close()
+            raise self._damaged(str(error)) from None
+        except StoreError:
+            self._stream.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.zip.close()
+        self._stream.close()
+
+    def identity(self) -> bytes:
+        """The identity document of the store that wrote the export."""
+        return self._text("store.json")
+
+    def entries(self) -> Iterator[Entry]:
+        """The chain in order. Records that are not in the export have no document."""
+        numbers = sorted(int(name[6:14]) for name in self.members if name.startswith("links/"))
+        for number in numbers:
+            name = f"records/{number:08d}.json"
+            yield Entry(
+                number,
+                self._text(f"links/{number:08d}.json"),
+                self._text(name) if name in self.members else None,
+            )
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every file in the export."""
+        return {name.removeprefix("files/") for name in self.members if name.startswith("files/")}
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The parts of a file; never more bytes than its stated size."""
+        return self._parts(f"files/{name}")
+
+    def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
+        members: dict[str, zipfile.ZipInfo] = {}
+        limits = {"files/": _MAX_FILE, "SHA256": _MAX_SUMS}
+        for member in self.zip.infolist():
+            name = member.filename
+            packed_as_piga_packs = member.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+            if (
+                not (_MEMBER.fullmatch(name) and packed_as_piga_packs)
+                or name in members
+                or len(members) >= _MAX_MEMBERS
+                or member.file_size > limits.get(name[:6], _MAX_DOCUMENT)
+                or member.flag_bits & 1
+            ):
+                raise self._damaged(f"member '{name[:80]}' does not belong into an export")
+            members[name] = member
+        return members
+
+    def _check_sums(self) -> None:
+        """Check the schema, and that the sums fit the members. The files are checked when they are read, by their names."""
+        try:
+            schema = json_object(self._text("manifest.json")).get("schema")
+        except JsonError as error:
+            raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
+        if schema != _EXPORT:
+            raise StoreError(
+                f"{self.name}: export of schema '{str(schema)[:80]}'", remedy="a newer one needs a newer piga"
+            )
+        digests = {
+            name: name.removeprefix("files/") if name.startswith("files/") else sha256(self._text(name))
+            for name in self.members
+            if name != "SHA256SUMS"
+        }
+        if _listing(digests) != self._text("SHA256SUMS"):
+            raise self._damaged("SHA256SUMS does not fit its members")
+
+    def _text(self, name: str) -> bytes:
+        return b"".join(self._parts(name))
+
+    def _parts(self, name: str) -> Iterator[bytes]:
+        if name not in self.members:
+            raise self._damaged(f"member '{name}' is missing")
+        try:
+            with self.zip.open(self.members[name]) as stream:  # never more than the size that was checked
+                while part := stream.read(PART):
+                    yield part
+        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
+            raise self._damaged(f"member '{name}': {error}") from None
+
+    def _damaged(self, reason: str) -> StoreError:
+        return StoreError(
+            f"{self.name}: the export is damaged ({reason})", remedy="export again, or use another copy"
+        )
+
+
+# -- verification ----------------------------------------------------------------------------------------
 
 _Source = Rows | Export
 """What holds a chain: a store, or an export of one."""
@@ -77,6 +251,14 @@ class Verification:
         if len(self.problems) < _MAX_PROBLEMS:
             self.problems.append(text)
 
+    def require_sound(self, name: str) -> None:
+        """Refuse what is not sound."""
+        if self.problems:
+            raise StoreError(
+                f"{name}: {self.problems[0]} ({len(self.problems)} problems in all)",
+                remedy="piga records verify lists them; use another copy",
+            )
+
 
 def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | None = None) -> Verification:
     """Check a store or an export from end to end.
@@ -92,11 +274,17 @@ def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | No
     """
     result = Verification(str(where))
     try:
-        if not is_url(where) and is_export(Path(where)):
+        if not is_url(where) and _is_zip(Path(where)):
             with Export(Path(where)) as export:
                 check_chain(result, export, heads, progress)
-        else:
-            _verify_store(result, where, heads, progress)
+            return result
+        with Store(where) as store:
+            result.name = store.name
+            with store.reading() as rows:
+                if store.path is not None:
+                    _check_sqlite(result, rows.connection)
+                check_chain(result, rows, heads, progress)
+                _check_tables(result, rows)
     except CancelledError:
         raise
     except PigaError as error:
@@ -106,16 +294,11 @@ def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | No
     return result
 
 
-def _verify_store(
-    result: Verification, where: str | Path, heads: Iterable[str], progress: Progress | None
-) -> None:
-    with Store(open_database(where)) as store:
-        result.name = store.name
-        with store.database.reading() as rows:
-            if rows.connection.dialect.name == "sqlite":
-                _check_sqlite(result, rows.connection)
-            check_chain(result, rows, heads, progress)
-            _check_columns(result, rows)
+def _is_zip(path: Path) -> bool:
+    """True if the file begins like a ZIP file."""
+    with suppress(StoreError), open_regular(path, error=StoreError) as stream:
+        return stream.read(4) == b"PK\x03\x04"
+    return False
 
 
 def check_chain(
@@ -159,6 +342,8 @@ def _check_document(
     if sha256(raw) != link.record:
         result.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
     document = decode(raw, RecordDocument, RECORD, f"record {entry.number}", strict=True)
+    if entry.columns not in (None, (sha256(entry.link), document.id, document.serial)):
+        result.problem(f"record {entry.number}: the table's columns do not fit the record")
     place = (store, link.number, link.previous)
     if link.taken_over is not None:
         place = _place_of_origin(link.taken_over, link.record)
@@ -198,21 +383,14 @@ def _check_files(
         report(progress, result.files, len(both), "checking")
 
 
-def _check_columns(result: Verification, rows: Rows) -> None:
-    """Check that the look-up columns agree with the documents and that there are no surplus rows."""
-    last = Head(0, sha256(rows.identity()))
-    for row in rows.chain():
-        document = decode(row.document, RecordDocument, RECORD, f"record {row.number}")
-        if (row.head, row.id, row.serial) != (sha256(row.link), document.id, document.serial):
-            result.problem(f"record {row.number}: the table's columns do not fit the record")
-        last = Head(row.number, sha256(row.link))
-    if rows.head() != last:
-        result.problem(f"the chain was cut short, or its end altered: {last.number} records are there")
+def _check_tables(result: Verification, rows: Rows) -> None:
+    """Check the tables of one row, and that the chain is as long as the head says."""
+    if rows.head() != Head(result.records, result.head):
+        result.problem(f"the chain was cut short, or its end altered: {result.records} records are there")
     for table in (STORE, HEAD, VERSION):
         if rows.connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
             result.problem(f"table {table.name}: one row is needed")
-    stated = rows.connection.execute(sa.select(VERSION.c.version_num)).scalar()
-    if (rows.version(), stated) != (SCHEMA, f"{SCHEMA:04d}"):
+    if rows.connection.execute(sa.select(VERSION.c.version_num)).scalar() != f"{SCHEMA:04d}":
         result.problem("the version of the tables was altered")
 
 
@@ -237,57 +415,20 @@ def export_records(
 ) -> Verification:
     """Write all records of a store, or the chosen ones, with all links of its chain.
 
-    The file is read back before it gets its name. ``progress`` gets the number of files written or read back, and the
+    The file is read back before it gets its name. ``progress`` gets the number of files written, then read back, and the
     number of all files. If the store is damaged, no file is left.
     """
     numbers = None if chosen is None else {store.record(name).number for name in chosen}
-
-    def write(part: Path) -> None:
-        with store.database.reading() as rows:
-            write_members(rows, part, numbers, lambda done, of, what: report(progress, done, 2 * of, what))
-
-    return _read_back(
-        store, target, write, replace, lambda done, of, what: report(progress, of + done, 2 * of, what)
-    )
-
-
-def backup(
-    store: Store, target: Path, *, replace: bool = False, progress: Progress | None = None
-) -> Verification:
-    """Write a verified copy: a database for a SQLite store, an export for a PostgreSQL store.
-
-    If the store is damaged, no file is left.
-    """
-    path = store.database.path
-    if path is None:
-        return export_records(store, target, replace=replace, progress=progress)
-
-    def copy(part: Path) -> None:
-        uri = f"{path.resolve().as_uri()}?mode=ro"
-        with (
-            explained(str(target)),
-            closing(connect_sqlite(uri)) as source,
-            closing(sqlite3.connect(part)) as copied,
-        ):
-            copied.execute("PRAGMA journal_mode=OFF")
-            source.backup(copied)
-
-    return _read_back(store, target, copy, replace, progress)
-
-
-def _read_back(
-    store: Store, target: Path, write: Callable[[Path], None], replace: bool, progress: Progress | None
-) -> Verification:
-    """Write a file, and verify it before it gets its name."""
     result = Verification("")
 
-    def written(part: Path) -> None:
+    def write(part: Path) -> None:
         nonlocal result
-        write(part)
+        with store.reading() as rows:
+            _write_members(rows, part, numbers, progress)
         result = verify(part, progress=progress)
-        _refuse_unsound(result, store.name)
+        result.require_sound(store.name)
 
-    write_whole(target, written, replace=replace, kind=StoreError)
+    write_whole(target, write, replace=replace, kind=StoreError)
     result.name = str(target)
     return result
 
@@ -302,10 +443,10 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
     with Export(path) as export:
         checked = Verification(export.name)
         check_chain(checked, export)
-        _refuse_unsound(checked, export.name)
+        checked.require_sound(export.name)
         identity = export.identity().decode()
         added = []
-        with store.database.writing() as rows:
+        with store.writing() as rows:
             for entry in export.entries():
                 if entry.document is None or _has(rows, entry.document):
                     continue
@@ -335,49 +476,41 @@ def _refuse_unfit(store: Store, rows: Rows, raw: bytes, document: RecordDocument
 
 
 def restore(source: Path, target: str | Path) -> Verification:
-    """Create a store from a backup (SQLite file or complete export), with the same identity, links and head."""
+    """Create a store from a backup (a complete export), with the same identity, links and head."""
     result = Verification(str(source))
-    with ExitStack() as stack:
-        if is_export(source):
-            origin: _Source = stack.enter_context(Export(source))
-        else:
-            old = stack.enter_context(Store(open_database(source)))
-            origin = stack.enter_context(old.database.reading())
+    with open_regular(source, "a backup", StoreError) as stream:
+        if stream.read(15) == b"SQLite format 3":  # backups of piga 0.3 and before
+            raise StoreError(
+                f"{source}: is a store itself, not a backup of one",
+                remedy="copy the file and name it with --store; for PostgreSQL write a backup of it first",
+            )
 
-        def fill(store: Store, create: bool) -> None:
-            with store, store.database.writing() as rows:
-                if create and rows.version() != 0:
+    def fill(place: str | Path) -> None:
+        """The copy is checked before it is committed."""
+        database = Database(place, new=True)
+        with database.writing() as rows:
+            if rows.version() != 0:
+                raise StoreError(
+                    f"{database.name}: there is a store already", remedy="restore into an empty database"
+                )
+            rows.create(export.identity())
+            for entry in export.entries():
+                if entry.document is None:
                     raise StoreError(
-                        f"{store.name}: there is a store already", remedy="restore into an empty database"
+                        f"the export lacks record {entry.number}",
+                        remedy="restore from a backup, or import what is there",
                     )
-                if create:
-                    rows.create(origin.identity())
-                _copy_chain(store, rows, origin, result)
+                rows.add(entry, _copy_files(rows, export, entry.document))
+            check_chain(result, rows)
+            result.require_sound(result.name)
 
-        def write(part: Path) -> None:
-            part.write_bytes(new_sqlite(origin.identity()))
-            fill(Store(open_database(part)), create=False)
-
+    with Export(source) as export:
         if is_url(target):
-            fill(Store(postgresql_database(str(target))), create=True)
+            fill(target)
         else:
-            write_whole(Path(target), write, replace=False, kind=StoreError)
+            write_whole(Path(target), fill, replace=False, kind=StoreError)
     result.name = str(target)
     return result
-
-
-def _copy_chain(store: Store, rows: Rows, origin: _Source, result: Verification) -> None:
-    """Copy a chain into an empty store, and check what was written before it is committed."""
-    for entry in origin.entries():
-        if entry.document is None:
-            raise StoreError(
-                f"the export lacks record {entry.number}",
-                remedy="restore from a backup, or import what is there",
-            )
-        _copy_files(rows, origin, entry.document)
-        store.insert(rows, entry.document, entry.link)
-    check_chain(result, rows)
-    _refuse_unsound(result, result.name)
 
 
 def _copy_files(rows: Rows, origin: _Source, raw: bytes) -> RecordDocument:
@@ -396,11 +529,3 @@ def _has(rows: Rows, raw: bytes) -> bool:
             remedy="one of the two was changed: run piga records verify on both",
         )
     return there is not None
-
-
-def _refuse_unsound(result: Verification, name: str) -> None:
-    if not result.sound:
-        raise StoreError(
-            f"{name}: {result.problems[0]} ({len(result.problems)} problems in all)",
-            remedy="piga records verify lists them; use another copy",
-        )
