@@ -89,21 +89,6 @@ def remainder_pi(a: tuple[float, float]) -> tuple[float, float]:
     return n, rest[0] + (rest[1] - n * _PI_LOWEST)
 
 
-@exact
-def divide(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    """Quotient of two double-doubles (three steps of long division)."""
-    first = a[0] / b[0]
-    rest = add(a, _negative(multiply((first, 0.0), b)))
-    second = rest[0] / b[0]
-    rest = add(rest, _negative(multiply((second, 0.0), b)))
-    return add(two_sum(first, second), (rest[0] / b[0], 0.0))
-
-
-@exact
-def _negative(a: tuple[float, float]) -> tuple[float, float]:
-    return -a[0], -a[1]
-
-
 _MOST_GROWTH = 2.0
 """The second derivative in an interval is at most this multiple of the smaller one of its neighbours."""
 
@@ -112,9 +97,7 @@ _MOST_GROWTH = 2.0
 def limited(value: float, first: float, second: float) -> float:
     """A second derivative limited by two others; 0 if their signs differ."""
     low, high = min(first, second), max(first, second)
-    return min(max(value, 0.0), _MOST_GROWTH * max(low, 0.0)) + max(
-        min(value, 0.0), _MOST_GROWTH * min(high, 0.0)
-    )
+    return min(max(value, _MOST_GROWTH * min(high, 0.0)), _MOST_GROWTH * max(low, 0.0))
 
 
 @inline
@@ -148,16 +131,14 @@ def second_derivatives(x: Array, before: Array, after: Array, bend: Array) -> No
 
 @inline
 def bow_inside(h: float, share: float, first: float, second: float) -> float:
-    """Bow in an interval ``h`` with neighbours on both sides, from the second derivatives at its ends; exact for a cubic."""
+    """Bow in an interval ``h`` from two second derivatives; its middle lies ``share`` of the way. Exact for a cubic."""
     return bow_of(h, limited(first + share * (second - first), first, second))
 
 
 @inline
-def bow_at_end(h: float, h_near: float, h_far: float, near: float, far: float) -> float:
-    """Bow in an interval ``h`` at an end of a stretch, from the second derivatives at the next two samples."""
-    return bow_of(
-        h, limited(near + (near - far) * (h + 2.0 * h_near) / (2.0 * (h + h_near + h_far)), near, far)
-    )
+def share_at_end(h: float, h_near: float, h_far: float) -> float:
+    """The share for an interval ``h`` at an end of a stretch, from the second derivatives at the next two samples."""
+    return -(h + 2.0 * h_near) / (2.0 * (h + h_near + h_far))
 
 
 _LIMIT = 1.6e6

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import (
-    bow_at_end,
     bow_inside,
     second_derivatives,
+    share_at_end,
     sine_cosine,
 )
 from piga._kernels.jit import Array, kernel
@@ -270,9 +270,9 @@ def smooth_bows(x: Array, h: Array, before: Array, after: Array, share: Array, b
         if preceded and followed:
             out[i] = bow_inside(h[i], share[i], bend[i], bend[i + 1])
         elif preceded and i > 1 and h[i - 2] != 0.0:
-            out[i] = bow_at_end(h[i], h[i - 1], h[i - 2], bend[i], bend[i - 1])
+            out[i] = bow_inside(h[i], share_at_end(h[i], h[i - 1], h[i - 2]), bend[i], bend[i - 1])
         elif followed and i < n - 2 and h[i + 2] != 0.0:
-            out[i] = bow_at_end(h[i], h[i + 1], h[i + 2], bend[i + 1], bend[i + 2])
+            out[i] = bow_inside(h[i], share_at_end(h[i], h[i + 1], h[i + 2]), bend[i + 1], bend[i + 2])
 
 
 def add_product_bows(

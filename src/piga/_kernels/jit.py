@@ -143,14 +143,9 @@ def kernel(function: F) -> F:
     return _compiled(function, {"contract"})
 
 
-def parallel_kernel(function: F) -> F:
-    """Compile a loop over ``numba.prange``: its rounds are shared among the threads of Numba."""
-    return _compiled(function, {"contract"}, parallel=True)
-
-
 def inline(function: F) -> F:
-    """Compile a small scalar function that is inlined into the kernels that call it."""
-    return _compiled(function, {"contract"}, forceinline=True)
+    """Compile a function that is inlined into the kernels that call it. It makes no array, so no references are counted."""
+    return _compiled(function, {"contract"}, forceinline=True, _nrt=False)
 
 
 def exact(function: F) -> F:

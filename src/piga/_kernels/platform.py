@@ -111,8 +111,8 @@ class States(NamedTuple):
 def gravitation(x: float, y: float, z: float, gm: float, j2a2: float) -> tuple[float, float, float, float]:
     """Gravitation of the J2 field [m/s^2] at inertial position [m]; ``j2a2 = 1.5 J2 a^2`` [m^2]. Also 1/r."""
     xy2, z2 = x * x + y * y, z * z
-    inverse = 1.0 / math.sqrt(xy2 + z2)
-    i2 = inverse * inverse
+    i2 = 1.0 / (xy2 + z2)
+    inverse = i2 * math.sqrt(xy2 + z2)
     q = j2a2 * i2
     s5 = 5.0 * z2 * i2
     scale = -gm * inverse * i2
@@ -126,7 +126,7 @@ def height_and_normal(
     x: float, y: float, z: float, inverse: float, semi_minor: float, e2: float, q: float
 ) -> tuple[float, float, float, float]:
     """Geodetic height [m] and unit normal; to second order in the deflection (within 4e-5 m at 10 km)."""
-    s2 = z * z * inverse * inverse
+    s2 = z * z * (1.0 / (x * x + y * y + z * z))
     radius = semi_minor / math.sqrt(1.0 - e2 * (1.0 - s2))
     lengthened = 1.0 + (q * q - 1.0) * s2
     sine2 = (q - 1.0) * (q - 1.0) * s2 * (1.0 - s2) / lengthened

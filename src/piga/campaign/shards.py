@@ -245,12 +245,9 @@ class ShardReport:
 
 def run_shard(folder: str, shard: int) -> ShardReport:
     """Compute a shard and write its part. If the part is there already, nothing is computed."""
-    import numba
-
     campaign = _opened(folder)
     if shard in campaign.parts():
         return ShardReport(shard, 0, 0, 0.0)
-    numba.set_num_threads(1)
     began = time.process_time()
     rows = [row for number in campaign.records_of(shard) for row in _rows(campaign, number)]
     _write_part(campaign, shard, rows)

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piga._kernels.motion.samples import (
-    MotionSamples,
-    propagate_many,
-    propagate_samples,
-)
-from piga._kernels.motion.samples import propagate_increments as run_increments
+from piga._kernels.jit import config
+from piga._kernels.motion.samples import MotionSamples, propagate_samples
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.constant_input import constant_motion
@@ -276,10 +273,11 @@ def propagate_increments(
     if base_angle is not None:
         turning = float_array("base_angle", base_angle, force.shape)
     alpha = np.empty(times.size)
+    steps = MotionSamples(
+        times, force, turning, _EMPTY, _EMPTY, inst.scale_factor, inst.tan_beta, 0.0, 0.0, smooth=False
+    )
     with np.errstate(all="ignore"):
-        status = run_increments(
-            times, force, turning, inst.scale_factor, inst.tan_beta, _initial_state(inst.alpha0), alpha
-        )
+        status = propagate_samples(_initial_state(inst.alpha0), alpha, _NO_OUTPUT, steps)
     if status != GOOD:
         explain(times, status, dv=force, base_angle=turning)
     alpha[0] = inst.alpha0
@@ -342,8 +340,8 @@ def propagate_fleet(
     """Angle or rate of many motions over the same times: the batch form of :func:`piga.propagate`.
 
     It computes many instruments with one input, one instrument with many inputs, or pairs. Row i is the
-    result of :func:`piga.propagate` for motion i. The motions are shared among the threads of Numba: one per core, or as many as
-    ``numba.set_num_threads`` says.
+    result of :func:`piga.propagate` for motion i. The motions are shared among ``NUMBA_NUM_THREADS`` threads, by
+    default one per core.
 
     Parameters
     ----------
@@ -390,17 +388,16 @@ def propagate_fleet(
         own = {name: array[i] if array.ndim == 3 else array for name, array in given.items()}
         with _named(i):
             motions.append(_sampled_input(inst, t, own["f"], own.get("base_rate"), between=between))
-    one = motions[0]
-    force = given["f"] if given["f"].ndim == 3 else one.f[None]
-    omega = given["base_rate"] if "base_rate" in counts else one.base_rate[None]
-    states = np.array([_initial_state(inst.alpha0) for inst in fleet])
-    constants = np.array([(motion.K, motion.tan_beta) for motion in motions])
-    result, status = np.empty((m, one.t.size)), np.empty(m)
-    with np.errstate(all="ignore"):
-        propagate_many(one.t, force, omega, constants, one.smooth, states, output == "angle", result, status)
-    for i, motion in enumerate(motions):
-        with _named(i):
-            _require(motion, int(status[i]))
+    result, threads = np.empty((m, motions[0].t.size)), config.NUMBA_NUM_THREADS
+
+    def run(first: int) -> None:
+        for i in range(first, m, threads):
+            angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
+            with _named(i):
+                _run_samples(motions[i], fleet[i].alpha0, angle, rate)
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(run, range(threads)))
     if output == "angle":
         result[:, 0] = [inst.alpha0 for inst in fleet]
     return result
