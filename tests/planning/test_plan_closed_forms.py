@@ -47,17 +47,14 @@ def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None
     assert plan.standard[-1].std("k0") >= plan.best.std("k0")
 
 
-def test_the_cheapest_test_that_is_good_enough(plan: Plan) -> None:
-    assert plan.cheapest is not None
-    assert plan.cheapest.plan is not None
-    assert plan.cheapest.plan.std("k0") <= 2e-6
-    assert plan.cheapest.bound <= plan.cheapest.plan.duration < plan.best.duration
-
-
 def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
-    document = plan_document(plan, None)
+    cheapest, document = plan.cheapest, plan_document(plan, None)
+    assert cheapest is not None
+    assert cheapest.plan is not None
+    assert cheapest.plan.std("k0") <= 2e-6
+    assert cheapest.bound <= cheapest.plan.duration < plan.best.duration
     assert json.loads(json.dumps(document, allow_nan=False)) == document
-    assert document["cheapest"]["duration_s"] == plan.cheapest.plan.duration  # type: ignore[union-attr]
+    assert document["cheapest"]["duration_s"] == cheapest.plan.duration
     planned = document["planned"]["standard_uncertainty"]["k0"]
     degrees = plan.best.degrees("k0")
     assert degrees == pytest.approx(len(plan.best.visits) - 2, rel=0.02)  # two means of equal visits

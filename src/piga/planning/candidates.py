@@ -1,9 +1,8 @@
 """Candidates of a plan, and the prediction of its result.
 
 Positions and levels, and the information from a visit of given duration.
-The information is that of the estimator. The stand and the exact motion give a noiseless segment of the candidate.
-Its regressors are whitened with the noise model of the calibration. The information is averaged over four
-starting angles of the gimbal, a quarter turn apart, because a test may start at any angle.
+The information is that of the estimator. The stand and the exact motion give a noiseless record of visits to all candidates.
+Its regressors are whitened with the noise model of the calibration.
 
 A result is predicted by calibrating the noiseless record of the test, with the covariance of the estimator. The rounding of
 counts is not white where the output turns evenly: what is then stated is that of records with counts and noise.
@@ -20,27 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.calibration.fit import repetitions
-from piga.calibration.intervals import LeverageError
 from piga.calibration.joint import JointFit, Wish, effects, merge_runs
-from piga.calibration.model.design import Design, ServoState
-from piga.calibration.model.solution import asked_order, layout_of
-from piga.calibration.servo import reduce_settled, with_mean_servo
-from piga.calibration.summary import bare_summary, with_sources
+from piga.calibration.model.design import Design
+from piga.calibration.servo import reduce_settled
+from piga.calibration.summary import RunSummary, bare_summary, with_sources
 from piga.calibration.weights import (
     RATE,
     Extra,
     Noise,
     counted_rates,
     reduce_positions,
-    weighted_blocks,
     weighting_mode,
 )
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.instrument import Instrument, propagate
 from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.run import Run
-from piga.records.terms import GYRO, SERVO_TERMS, si_factor
+from piga.records.terms import GYRO
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.profile import NONE, Stand
@@ -52,8 +47,8 @@ from piga.stand.scenario import (
 
 _COUNTED_RECORDS = 24
 """Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
-_STARTS = 4
-"""Number of evenly spaced starting angles of the gimbal for the average of the information."""
+_STEP = 1e-6
+"""Change of a coefficient [SI] by which the internal parameters are turned into those of the file."""
 
 
 @dataclass(frozen=True)
@@ -152,14 +147,6 @@ def run_of(
     return run if servo is None else replace(run, servo=servo.parameters())
 
 
-def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...]) -> Array:
-    """Information on the coefficients from ``1, 2, ...`` dwell steps at each candidate, (n, steps, m, m).
-
-    Coefficients in the order of :func:`coefficient_names`, file units.
-    """
-    return np.array([_table(request, candidate) for candidate in candidates])
-
-
 def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
     """Coefficients common to all positions, in the order of the request; ``phi`` follows tan_beta if it is common."""
     names: list[str] = []
@@ -168,102 +155,10 @@ def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _table(request: PlanRequest, candidate: Candidate) -> Array:
-    design = _segments(request, candidate)
-    noise, mode = _noise_of(request), weighting_mode(design, "information")
-    per_step = round(request.dwell_step / request.scenario.electronics.interval)
-    steps = round(request.longest_dwell / request.dwell_step)
-    m = len(design.names)
-    parts: list[list[Array]] = [[] for _ in range(_STARTS)]
-    for block, columns in weighted_blocks(design, mode, noise):
-        parts[block.segment].append(columns[:m, -_rows(block.start, block.stop, design) :])
-    jacobian = _jacobian(request, design)
-    information = np.zeros((steps, *(2 * (jacobian.shape[1],))))
-    for part in parts:
-        rows = np.hstack(part)[:, -steps * per_step :].reshape(m, steps, per_step).swapaxes(0, 1)
-        linear = np.cumsum(rows @ rows.swapaxes(1, 2), axis=0)
-        information += jacobian.T @ linear @ jacobian / _STARTS
-    return _without_phase(information, request, design)
-
-
-def _rows(start: int, stop: int, design: Design) -> int:
-    return stop - start if start or design.point else stop - start - 1
-
-
-def _segments(request: PlanRequest, candidate: Candidate) -> Design:
-    """The candidate held for the longest dwell, from each starting angle."""
-    specimen, interval = request.scenario.specimen, request.scenario.electronics.interval
-    own = specimen.instrument
-    count = round(request.longest_dwell / interval)
-    t = np.arange(count + 1, dtype=np.float64) * interval
-    force, rate = candidate.stand(request.longest_dwell, request).motion(t, NONE)
-    outputs = [t] * _STARTS if specimen.direct else []  # its regressors do not depend on its output
-    for start in () if specimen.direct else range(_STARTS):
-        turned = Instrument(own.scale_factor, own.beta, own.alpha0 + 2.0 * math.pi * start / _STARTS)
-        alpha, speed = propagate(
-            turned, t, force, rate, with_rate=True, error_model=specimen.error_model, between="linear"
-        )
-        outputs.append(speed if request.scenario.electronics.kind == "rate" else alpha)
-    times = np.concatenate([t + k * (t[-1] + 2.0 * interval) for k in range(_STARTS)])
-    segment = np.repeat(np.arange(_STARTS, dtype=np.int32), t.size)
-    many = (_STARTS, 1)
-    run = run_of(request, times, np.concatenate(outputs), np.tile(force, many), np.tile(rate, many), segment)
-    design = Design(run, request_of(request.model), run.scale_factor)
-    if "tan_beta" not in design.request.terms:
-        return with_mean_servo(design)
-    return design.with_servo(_servo_state(request, design)) if design.turning_servo else design
-
-
-def _servo_state(request: PlanRequest, design: Design) -> ServoState:
-    """State of the servo columns: phase zero, expected coefficients."""
-    truth, K = _truth(request), design.run.scale_factor
-    return ServoState(
-        (0.0,) * _STARTS,
-        K * truth.get("servo", 0.0),
-        K * truth.get("servo_damping", 0.0),
-        1.0 / (K * truth["tan_beta"]),
-    )
-
-
-def _jacobian(request: PlanRequest, design: Design) -> Array:
-    """Derivative of the column coefficients by the parameters of the layout (file units): amplitudes, then phi.
-
-    The output zero is at alpha = 0, so phi = 0. The amplitudes are ``K theta``.
-    """
-    layout, truth, K = layout_of(design, 1), _truth(request), design.run.scale_factor
-    names = [name for name, _ in layout.amplitude_keys]
-    phases = np.zeros(1 if layout.local else 0)
-    by_name = np.diag(np.append(np.full(len(names), K), np.ones(phases.size)))
-    values = np.array([truth.get(name, 0.0) for name in names])
-    if "scale_factor" in names:
-        at = names.index("scale_factor")
-        by_name[: len(names), at] = values
-        by_name[at, at] = 1.0
-    result = layout.jacobian(K * values, phases, 0) @ by_name
-    return result * np.array([si_factor(name) for name in [*names, "phi"][: result.shape[1]]])
-
-
-def _truth(request: PlanRequest) -> dict[str, float]:
-    """Expected values in SI."""
-    specimen = request.scenario.specimen
-    values = {"tan_beta": abs(specimen.instrument.tan_beta)}
-    values |= {
-        name: getattr(specimen.error_model, name, 0.0) for name in request.model.terms if name not in values
-    }
-    values |= {name: getattr(specimen, name) for name in SERVO_TERMS if name in request.model.terms}
-    for order, (sine, cosine) in specimen.harmonics.items():
-        values |= {f"s{order}": sine, f"c{order}": cosine}
-    return values
-
-
-def _without_phase(information: Array, request: PlanRequest, design: Design) -> Array:
-    """Information in the order of the names; a phase per segment is eliminated (Schur complement)."""
-    layout, shared = layout_of(design, 1), "phi" in coefficient_names(request)
-    if layout.local and not shared:
-        cross, phase = information[:, :-1, -1], np.maximum(information[:, -1, -1], 1e-300)
-        information = information[:, :-1, :-1] - cross[:, :, None] * cross[:, None, :] / phase[:, None, None]
-    order = asked_order(layout, request.model.terms, int(shared))
-    return information[:, order][:, :, order]
+def whole_samples(request: PlanRequest, dwell: float) -> float:
+    """The dwell [s], cut to whole samples."""
+    interval = request.scenario.electronics.interval
+    return round(math.floor(dwell / interval + 1e-6) * interval, 9)
 
 
 @dataclass(frozen=True)
@@ -329,46 +224,78 @@ class Prediction(Result):
         return coverage_factor(self.degrees(name) * (whole / max(self.std(name), 1e-300)) ** 4) * whole
 
 
-def predict(
-    request: PlanRequest, name: str, visits: tuple[Visit, ...], *, type_b: bool = True, refuse: bool = False
-) -> Prediction:
-    """Predicted uncertainty of a test, from the estimator itself.
+def _reduced(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Design, str, RunSummary]:
+    """Columns of the noiseless record of a test, mode of its weights, and its summary."""
+    run, noise, wish = noiseless_run(request, visits), _noise_of(request), request_of(request.model)
+    noise = replace(noise, counted=counted_rates(run, noise.white))
+    design = Design(run, wish, run.scale_factor)
+    mode = weighting_mode(design, "information")
+    design, rows = reduce_settled(design, mode, noise)
+    return design, mode, bare_summary("", wish, design, noise, repetitions(design, noise, rows))
+
+
+def _solved(request: PlanRequest, summary: RunSummary) -> JointFit:
+    return merge_runs(Wish.of_one(tuple(request.model.terms)), [summary], [None])
+
+
+def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], dwells: Array) -> Array:
+    """Information on the coefficients from a visit of each of the ``dwells`` (d,) [s] at each candidate, (n, d, m, m).
+
+    Coefficients in the order of :func:`coefficient_names`, file units; a phase per segment is eliminated (Schur complement).
 
     Raises
     ------
     IdentifiabilityError
-        With ``refuse``, if the test cannot determine the terms; otherwise the result holds the reason.
+        If all candidates together, each visited twice, cannot determine the terms.
     """
-    run = noiseless_run(request, visits)
-    duration = sum(visit.dwell for visit in visits) + request.move * (len(visits) - 1)
-    noise, wish = _noise_of(request), request_of(request.model)
-    noise = replace(noise, counted=counted_rates(run, noise.white))
-    design = Design(run, wish, run.scale_factor)
-    mode = weighting_mode(design, "information")
+    tests = [tuple(Visit(candidate, float(dwell)) for candidate in candidates) for dwell in dwells]
     try:
-        design, rows = reduce_settled(design, mode, noise)
-        summary = bare_summary("", wish, design, noise, repetitions(design, noise, rows))
-        fit = merge_runs(Wish.of_one(wish.terms), [summary], [None])
+        fit = _solved(request, _reduced(request, 2 * tests[0])[2])
     except IdentifiabilityError as error:
-        if refuse and not isinstance(error, LeverageError):
-            raise IdentifiabilityError(
-                error.message.replace("record", "plan", 1), remedy=error.remedy
-            ) from None
-        return Prediction(name, visits, duration, refusal=error.message.replace("record", "plan", 1))
+        raise IdentifiabilityError(_of_plan(error), remedy=error.remedy) from None
+    m = len(coefficient_names(request))
+    common = [k for k, c in enumerate(fit.coefficients) if c.segment is None]
+    step = _STEP * fit.summaries[0].scale_factor
+    by_name = np.linalg.inv(
+        [fit.moved(step * row)[common] / step for row in np.eye(fit.estimate.parameters)[:m]]
+    ).T
+    tables = np.empty((len(candidates), len(dwells), m, m))
+    for k, visits in enumerate(tests):
+        once = replace(fit, summaries=(_reduced(request, visits)[2],))
+        for place, position in enumerate(once.positions(0, fit.servo)):
+            factor = position.part.without((RATE,), position.variance).factor[:, :-1]
+            rows = factor @ fit.estimate.jacobians[position.group]
+            own = rows[:, m + position.group :][:, :1]  # the phase of the visit alone; empty if it is common
+            rows = rows[:, :m] - own @ (own.T @ rows[:, :m]) / max(float(np.sum(own**2)), 1e-300)
+            tables[place, k] = by_name.T @ rows.T @ rows @ by_name
+    return tables
+
+
+def _of_plan(error: IdentifiabilityError) -> str:
+    return error.message.replace("record", "plan", 1)
+
+
+def predict(request: PlanRequest, name: str, visits: tuple[Visit, ...]) -> Prediction:
+    """Predicted uncertainty of a test, from the estimator itself; ``refusal`` if the calibration would refuse the record."""
+    duration = sum(visit.dwell for visit in visits) + request.move * (len(visits) - 1)
+    try:
+        design, mode, summary = _reduced(request, visits)
+        fit = _solved(request, summary)
+    except IdentifiabilityError as error:
+        return Prediction(name, visits, duration, refusal=_of_plan(error))
     named, covariance = fit.named(fit.estimate, fit.estimate.covariance)
     raw = design.with_servo(None)
-    if run.resolution > 0.0:
+    if raw.run.resolution > 0.0:
         stated = _stated_with_counts(request, raw, mode, fit)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
     coefficients = tuple(
         replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, fit.degrees, strict=True)
     )
-    squares = np.zeros(len(coefficients))
-    if type_b:
-        values = np.tile(fit.column_values(0), (len(run.labels) // len(summary.labels), 1))
-        moved = with_sources(summary, raw, design, values, mode)
-        for _, change in effects(replace(fit, summaries=(moved,)), stated=True):
-            squares += np.sum(change**2, axis=0)
+    values = np.tile(fit.column_values(0), (len(raw.run.labels) // len(summary.labels), 1))
+    moved = replace(fit, summaries=(with_sources(summary, raw, design, values, mode),))
+    squares = sum(
+        (np.sum(change**2, axis=0) for _, change in effects(moved, stated=True)), np.zeros(len(named))
+    )
     return Prediction(name, visits, duration, coefficients, covariance, np.sqrt(squares))
 
 

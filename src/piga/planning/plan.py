@@ -1,7 +1,7 @@
 """Plan a test: the positions or levels, and the dwell in each, that give the smallest uncertainties.
 
-A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. An exchange search from
-evenly spaced visits finds the test. The least value of any mixture of visits per second of test is a lower bound for every test.
+A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The search finds pairs of
+visits (:mod:`piga.planning.search`). The least value of any mixture of visits per second of test is a lower bound for every test.
 The reported uncertainties are predicted by the estimator on the noiseless record of the exported test. The export is a scenario
 for ``piga simulate`` and one JSON document.
 """
@@ -28,19 +28,11 @@ from piga.planning.candidates import (
     information_tables,
     predict,
     stand_table,
-)
-from piga.planning.criterion import (
-    LARGEST_POWER,
-    Criterion,
-    Index,
-    PlanLimits,
-    Schedule,
-    fitted,
-    improve,
-    least_value,
+    whole_samples,
 )
 from piga.planning.mounting import Mounting
 from piga.planning.plan_file import PlanRequest
+from piga.planning.search import LARGEST_POWER, Criterion, Search
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
@@ -58,8 +50,12 @@ _STANDARD = (4, 6, 12, 24)
 """Numbers of evenly spaced positions in the standard plans."""
 _STRIDE = 0.381966
 """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
-_ATTEMPTS = 12
+_DWELLS = 6
+"""Dwells of the tables of information, from the shortest to the longest."""
+_ATTEMPTS = 20
 """Most durations tried to reach a wanted uncertainty."""
+_LONGER = 1.2
+"""Factor on the duration after a test that the calibration would refuse."""
 
 
 @dataclass(frozen=True)
@@ -122,30 +118,6 @@ class Plan(Result, Plotted, Reported):
         ]
 
 
-@dataclass(frozen=True)
-class _Search:
-    """Tables of the usable candidates and the criterion, both in scaled parameters (``scaled = file / scale``)."""
-
-    request: PlanRequest
-    usable: tuple[Candidate, ...]
-    tables: Array
-    scale: Array
-    criterion: Criterion
-
-    def limits(self, duration: float) -> PlanLimits:
-        """Times of a test in dwell steps."""
-        step = self.request.dwell_step
-        shortest = max(1, math.ceil(self.request.minimum_dwell / step - 1e-9))
-        return PlanLimits(duration / step, self.request.move / step, shortest, self.tables.shape[1])
-
-    def bound(self) -> tuple[float, float]:
-        """Least value of the criterion for one second of test, and the largest derivative there."""
-        dwells = np.arange(1, self.tables.shape[1] + 1) * self.request.dwell_step
-        rates = self.tables / (dwells + self.request.move)[:, None, None]
-        rates = rates[:, self.limits(0.0).shortest - 1 :]
-        return least_value(rates.reshape(-1, *self.tables.shape[2:]), self.criterion)
-
-
 def _criterion(request: PlanRequest, scale: Array, kind: str) -> Criterion:
     """The criterion in scaled parameters."""
     plan, names = request.settings, coefficient_names(request)
@@ -180,7 +152,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     margin = request.settings.margin
     excluded = tuple(_excluded(c, margin) for c in candidates if c.margin < margin)
     usable = tuple(c for c in candidates if not c.margin < margin)
-    request = _checked(request, usable)
+    _check(request, usable)
     steps("information of each position")
     search = _prepare(request, usable)
     steps("standard plans")
@@ -192,7 +164,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
         )
     steps("choosing visits")
     best, value = _best(search, standard)
-    criterion, (bound, derivative) = search.criterion, search.bound()
+    criterion, (_, bound, derivative) = search.criterion, search.mixture
     bound -= math.log(request.duration + request.move)
     return Plan(
         request=request,
@@ -214,37 +186,39 @@ def _excluded(candidate: Candidate, limit: float) -> _Excluded:
     return _Excluded(candidate, f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)")
 
 
-def _checked(request: PlanRequest, usable: tuple[Candidate, ...]) -> PlanRequest:
-    """Refuse a request that cannot be planned; the longest dwell is limited to the duration."""
+def _check(request: PlanRequest, usable: tuple[Candidate, ...]) -> None:
+    """Refuse a request that cannot be planned."""
     if not usable:
         raise CalibrationError(
             f"every position is within {request.settings.margin:g} times the lock zone",
             remedy="add positions with a larger a_x, or lower [plan] margin",
         )
-    if request.duration < request.minimum_dwell:
-        raise CalibrationError("[plan] duration is below minimum_dwell", remedy="give it more time")
-    interval, step = request.scenario.electronics.interval, request.dwell_step
-    for name, seconds in (("[plan] dwell_step", step), ("the move time", request.move)):
-        if abs(seconds / interval - round(seconds / interval)) > 1e-6:
-            raise CalibrationError(
-                f"{name} {seconds:g} s is not a multiple of the sample interval {interval:g} s",
-                remedy="change it, or sample_rate",
-            )
-    longest = math.floor(min(request.longest_dwell, request.duration) / step + 1e-9) * step
-    return replace(request, longest_dwell=max(longest, step * math.ceil(request.minimum_dwell / step - 1e-9)))
+    if request.duration < 2.0 * request.minimum_dwell + request.move:
+        raise CalibrationError(
+            "[plan] duration is below minimum_dwell twice with a move between: each position is visited twice",
+            remedy="give it more time",
+        )
+    interval = request.scenario.electronics.interval
+    if abs(request.move / interval - round(request.move / interval)) > 1e-6:
+        raise CalibrationError(
+            f"the move time {request.move:g} s is not a multiple of the sample interval {interval:g} s",
+            remedy="change it, or sample_rate",
+        )
 
 
-def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> _Search:
+def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> Search:
     """Tables scaled by the uncertainty of equal time on all candidates; refuses confounded terms."""
-    dwell = max(request.dwell_step, min(request.longest_dwell, 3.0 * request.dwell_step))
-    predict(request, "all", tuple(Visit(c, dwell) for c in usable), type_b=False, refuse=True)
-    tables = information_tables(request, usable)
+    longest = min(request.longest_dwell, request.duration)
+    dwells = np.unique(
+        [whole_samples(request, d) for d in np.geomspace(request.minimum_dwell, longest, _DWELLS)]
+    )
+    tables = information_tables(request, usable, dwells)
     equal = tables[:, -1].mean(axis=0)
     plain = 1.0 / np.sqrt(np.diag(equal))
     covariance = np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)
     scale = np.sqrt(np.diag(covariance))
     criterion = _criterion(request, scale, request.settings.criterion)
-    return _Search(request, usable, tables * np.outer(scale, scale), scale, criterion)
+    return Search(request, usable, dwells, tables * np.outer(scale, scale), scale, criterion)
 
 
 def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
@@ -261,22 +235,17 @@ def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Pred
         }
     plans = []
     for name, chosen in places.items():
-        dwell = _whole_samples(request, (request.duration + request.move) / len(chosen) - request.move)
+        dwell = whole_samples(request, (request.duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
             visits = _ordered(request, tuple(Visit(candidate, dwell) for candidate in chosen))
             plans.append(predict(request, name, visits))
     return tuple(plans)
 
 
-def _whole_samples(request: PlanRequest, dwell: float) -> float:
-    interval = request.scenario.electronics.interval
-    return round(math.floor(dwell / interval + 1e-6) * interval, 9)
-
-
-def _best(search: _Search, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
+def _best(search: Search, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
     """The best test for the duration; a standard plan that keeps the margin if no test is better."""
     request = search.request
-    planned = _search_visits(search, "planned", request.duration, standard)
+    planned = _search_visits(search, "planned", request.duration)
     value = _value(search, planned)
     for prediction in standard:
         other = _value(search, prediction)
@@ -290,7 +259,7 @@ def _best(search: _Search, standard: tuple[Prediction, ...]) -> tuple[Prediction
     return planned, value
 
 
-def _value(search: _Search, prediction: Prediction) -> float:
+def _value(search: Search, prediction: Prediction) -> float:
     """The criterion of a predicted covariance."""
     if prediction.covariance is None:
         return math.inf
@@ -299,67 +268,13 @@ def _value(search: _Search, prediction: Prediction) -> float:
     return float(search.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
 
 
-def _search_visits(search: _Search, name: str, duration: float, others: tuple[Prediction, ...]) -> Prediction:
-    """Exchange search from one visit to each place, and from the places of other tests that are candidates.
-
-    A visit that alone determines a coefficient shows no scatter of it, and the calibration refuses it. Each place is then visited
-    twice. If that is not enough, the longest dwell is halved, until it is.
-    """
-    limits, criterion = search.limits(duration), search.criterion.guarded()
-    places = {c.label: k for k, c in enumerate(search.usable)}
-    starts = [[v.candidate.label for v in one.visits if v.candidate.label in places] for one in others]
-    begun = []
-    for labels in (list(places), *filter(None, starts)):
-        even = np.full(len(labels), max(limits.shortest, int(limits.total / len(labels) - limits.move)))
-        begun.append((np.array([places[label] for label in labels]), even))
-    while True:
-        best = min(
-            (improve(search.tables, criterion, limits, *start) for start in begun), key=lambda s: s.value
-        )
-        longest = limits.longest * search.request.dwell_step
-        for visits in ((best.places, best.dwells), _cut(best, limits)):
-            planned = predict(search.request, name, _finished(search, *visits, duration, longest))
-            if not planned.refusal:
-                return planned
-        if limits.longest == limits.shortest:
-            return planned
-        limits = replace(limits, longest=max(int(best.dwells.max()) // 2, limits.shortest))
-        begun.append(_cut(best, limits))
-
-
-def _cut(schedule: Schedule, limits: PlanLimits) -> tuple[Index, Index]:
-    """Places and dwells of the schedule, each place visited at least twice, each visit within the limits.
-
-    The longest dwells pay for the moves.
-    """
-    visits = np.bincount(schedule.places)[schedule.places]
-    number = np.maximum(-(-schedule.dwells // limits.longest), np.where(visits == 1, 2, 1)).astype(np.int64)
-    dwells = np.repeat(np.maximum(schedule.dwells // number, limits.shortest), number)
-    return fitted(np.repeat(schedule.places, number), dwells, limits)
-
-
-def _finished(
-    search: _Search, places: Index, dwells: Index, duration: float, longest: float
-) -> tuple[Visit, ...]:
-    """Visits in their order, dwells in whole gimbal revolutions, spare time distributed."""
-    request, step = search.request, search.request.dwell_step
-    order = np.argsort(places, kind="stable")
-    chosen = [search.usable[int(k)] for k in places[order]]
-    wished = dwells[order] * step
-    turns = np.array([c.revolution for c in chosen])
-    whole = request.settings.whole_revolutions & (turns < wished)
-    unit = np.where(whole, turns, wished)
-    rounded = np.floor(wished / unit + 1e-9) * unit
-    rounded = np.where(rounded < request.minimum_dwell, wished, rounded)
-    while True:
-        spare = duration - rounded.sum() - request.move * (rounded.size - 1)
-        fits = np.flatnonzero(whole & (turns <= spare) & (rounded + turns <= longest))
-        if fits.size == 0:
+def _search_visits(search: Search, name: str, duration: float) -> Prediction:
+    """The best test of this duration that the calibration does not refuse."""
+    for visits in search.tests(duration):
+        planned = predict(search.request, name, _ordered(search.request, visits))
+        if not planned.refusal:
             break
-        most = fits[np.argmin(rounded[fits] / wished[fits])]
-        rounded[most] += turns[most]
-    visits = tuple(Visit(c, _whole_samples(request, float(d))) for c, d in zip(chosen, rounded, strict=True))
-    return _ordered(request, visits)
+    return planned
 
 
 def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
@@ -384,7 +299,7 @@ def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     return tuple(ordered)
 
 
-def _cheapest(search: _Search, best: Prediction) -> CheapestTest:
+def _cheapest(search: Search, best: Prediction) -> CheapestTest:
     """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
     request, targets = search.request, {}
     for name, wanted in request.wanted.items():
@@ -398,14 +313,14 @@ def _cheapest(search: _Search, best: Prediction) -> CheapestTest:
         targets[name] = math.sqrt(wanted**2 - by_stand**2)
     request_within = replace(request, wanted=targets)
     search = replace(search, criterion=_criterion(request_within, search.scale, "wanted"))
-    bound = math.exp(search.bound()[0]) - request.move
-    duration = max(bound, request.minimum_dwell)
+    bound = math.exp(search.mixture[1]) - request.move
+    duration = max(bound, 2.0 * request.minimum_dwell + request.move)
     for _ in range(_ATTEMPTS):
-        plan = _search_visits(search, "cheapest", duration, (best,))
+        plan = _search_visits(search, "cheapest", duration)
         ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
         if ratio <= 1.0:
             return CheapestTest(max(bound, 0.0), plan)
-        duration *= min(max(ratio**2, 1.005), 2.0)
+        duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
     return CheapestTest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
 
 

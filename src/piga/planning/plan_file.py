@@ -56,7 +56,6 @@ class PlanSettings(TomlTable, frozen=True):
     move: Seconds | None = None
     minimum_dwell: Seconds = "30 s"
     longest_dwell: Seconds = "600 s"
-    dwell_step: Seconds = "10 s"
     margin: float = 2.0
     whole_revolutions: bool = True
     shuffle: bool = True
@@ -92,7 +91,6 @@ class PlanRequest(Result):
     move: float
     minimum_dwell: float
     longest_dwell: float
-    dwell_step: float
     wanted: dict[str, float]
 
     @property

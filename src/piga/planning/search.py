@@ -1,0 +1,200 @@
+"""Optimal design: criteria for information matrices, the least value of a mixture, and the search for visits.
+
+With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
+homogeneous convex functions of ``M``: D ``log det(L C L')/r``;
+power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1 the c-criterion, and
+large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
+equivalence theorem reads: a mixture is optimal if and only if no candidate has
+``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
+equals the number r of parameters.
+
+A test has visits in pairs: the calibration refuses a position that alone determines a coefficient, and two visits show its
+scatter. All dwells are equal, but for whole revolutions. For each number of pairs the best mixture
+is rounded to whole pairs,
+and pairs are exchanged as long as the criterion falls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.planning.candidates import Candidate, Visit, whole_samples
+from piga.planning.plan_file import PlanRequest
+from piga.results import Array
+
+_GAP = 1e-6
+"""Excess of the largest directional derivative over its value at the optimum that ends the search."""
+_ROUNDS = 2000
+"""Most steps towards the best mixture."""
+_LARGEST_POWER = 9.0
+"""Power of the criterion above which the first steps towards the best mixture are not smaller."""
+_SLOWER = 0.7
+"""Factor on the power of the derivative in the steps after one that made the mixture worse."""
+_MIXED = 1e-6
+"""Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
+_RIDGE = 1e-13
+"""Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
+_GUARD = 0.1
+"""Share of the D-criterion of all parameters in a guarded criterion."""
+LARGEST_POWER = 64.0
+"""Power that approximates the largest variance, within a factor r^(1/64)."""
+_IMPROVEMENT = 1e-7
+"""Smallest improvement of the criterion that counts."""
+_NUMBERS = 8
+"""Most numbers of pairs that are tried, evenly spaced on a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """The criterion to minimise: ``rows`` (r, m) of interest in scaled parameters; ``power`` 0 is D.
+
+    ``guard`` is the share of the D-criterion of all parameters. It keeps parameters determined that are not of
+    interest.
+    """
+
+    rows: Array
+    power: float
+    guard: float = 0.0
+
+    def guarded(self) -> Criterion:
+        """The criterion with the guard, if the rows do not cover all parameters."""
+        return replace(self, guard=_GUARD if self.rows.shape[0] < self.rows.shape[1] else 0.0)
+
+    def _parts(self) -> list[tuple[float, Array, float]]:
+        """Share, rows and power of each part."""
+        everything = [(self.guard, np.eye(self.rows.shape[1]), 0.0)] if self.guard else []
+        return [(1.0 - self.guard, self.rows, self.power), *everything]
+
+    def values(self, information: Array) -> Array:
+        """Criterion of information matrices (..., m, m) in scaled parameters."""
+        covariance = _covariance(information)
+        total = np.zeros(information.shape[:-2])
+        for share, rows, power in self._parts():
+            reduced = rows @ covariance @ rows.T
+            if power == 0.0:
+                total += share * np.linalg.slogdet(reduced)[1] / rows.shape[0]
+                continue
+            logs = power * np.log(np.maximum(np.diagonal(reduced, axis1=-2, axis2=-1), 1e-300))
+            top = logs.max(axis=-1)
+            total += share * (top + np.log(np.mean(np.exp(logs - top[..., None]), axis=-1))) / power
+        return total
+
+    def sensitivity(self, information: Array) -> Array:
+        """``S`` with derivative ``-tr(S dM)``, (m, m)."""
+        covariance = _covariance(information)
+        total = np.zeros_like(covariance)
+        for share, rows, power in self._parts():
+            crossed = covariance @ rows.T
+            reduced = rows @ crossed
+            if power == 0.0:
+                total += share * crossed @ np.linalg.inv(reduced) @ crossed.T / rows.shape[0]
+                continue
+            variances = np.diag(reduced)
+            shares = (variances / variances.max()) ** power
+            total += share * (crossed * (shares / shares.sum() / variances)) @ crossed.T
+        return total
+
+
+def _covariance(information: Array) -> Array:
+    return np.asarray(np.linalg.inv(information + _RIDGE * np.eye(information.shape[-1])), dtype=np.float64)
+
+
+def best_mixture(candidates: Array, criterion: Criterion) -> tuple[Array, float, float]:
+    """Shares of the best mixture of information matrices (n, m, m), lower bound of the criterion, and largest ``tr(S A_j)``.
+
+    The criterion of any mixture lies above that of the best one by at most the logarithm of its largest derivative. Each step
+    multiplies the share of a candidate by a power of its derivative.
+    """
+    matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
+    shares = np.full(matrices.shape[0], 1.0 / matrices.shape[0])
+    bound, largest, last, power = -np.inf, np.inf, np.inf, 1.0 / (1.0 + min(criterion.power, _LARGEST_POWER))
+    for _ in range(_ROUNDS):
+        total = np.tensordot(shares, matrices, 1)
+        derivatives = np.einsum("ij,nji->n", criterion.sensitivity(total), matrices)
+        largest = min(largest, float(derivatives.max()))
+        value = float(criterion.values(total))
+        bound = max(bound, value - float(np.log(derivatives.max())))
+        if largest - 1.0 < _GAP:
+            break
+        power *= _SLOWER if value > last else 1.0
+        last = value
+        shares *= derivatives**power
+        shares /= shares.sum()
+    return shares, bound, largest
+
+
+def whole_pairs(
+    matrices: Array, criterion: Criterion, shares: Array, count: int
+) -> tuple[float, NDArray[np.int64]]:
+    """Criterion and places (count,) of the best pairs found from the ``shares`` (n,) of a mixture on.
+
+    ``matrices`` (n, m, m) hold the information of a pair at each place.
+    """
+    places = np.searchsorted(np.cumsum(shares[:-1]), (np.arange(count) + 0.5) / count)
+    value = float(criterion.values(matrices[places].sum(axis=0)))
+    while True:
+        taken, first = np.unique(places, return_index=True)
+        values = criterion.values(matrices[places].sum(axis=0) - matrices[taken][:, None] + matrices)
+        at, there = np.unravel_index(np.argmin(values), values.shape)
+        moved = places.copy()
+        moved[first[at]] = there
+        better = float(criterion.values(matrices[moved].sum(axis=0)))
+        if not better < value - _IMPROVEMENT:
+            return value, places
+        places, value = moved, better
+
+
+@dataclass(frozen=True)
+class Search:
+    """Information of a visit (n, d, m, m) at each usable candidate for the ``dwells`` (d,) [s], and the criterion.
+
+    Both are in scaled parameters (``scaled = file / scale``).
+    """
+
+    request: PlanRequest
+    usable: tuple[Candidate, ...]
+    dwells: Array
+    tables: Array
+    scale: Array
+    criterion: Criterion
+
+    @cached_property
+    def mixture(self) -> tuple[Array, float, float]:
+        """Shares of the best mixture by place, least value of the criterion for one second of test, largest derivative there."""
+        rates = self.tables / (self.dwells + self.request.move)[:, None, None]
+        shares, *bound = best_mixture(rates.reshape(-1, *self.tables.shape[2:]), self.criterion)
+        return shares.reshape(len(self.usable), -1).sum(axis=1), *bound
+
+    def tests(self, duration: float) -> Iterator[tuple[Visit, ...]]:
+        """Visits of a test of this duration [s] for several numbers of pairs, the best first."""
+        request, found = self.request, []
+        ends = [0.5 * (duration + request.move) / (dwell + request.move) for dwell in self.dwells[[-1, 0]]]
+        for count in sorted({math.floor(x + 1e-9) for x in np.geomspace(max(ends[0], 1.0), ends[1], _NUMBERS)}):
+            dwells = self._cut(min(0.5 * (duration + request.move) / count - request.move, self.dwells[-1]))
+            pairs = 2.0 * self._information(dwells)
+            value, places = whole_pairs(pairs, self.criterion.guarded(), self.mixture[0], count)
+            found.append((value, [(int(k), float(dwells[k])) for k in np.repeat(np.sort(places), 2)]))
+        for _, visits in sorted(found):
+            yield tuple(Visit(self.usable[k], whole_samples(request, dwell)) for k, dwell in visits)
+
+    def _cut(self, dwell: float) -> Array:
+        """The dwell [s] at each candidate, cut to whole revolutions of the gimbal if that leaves the least dwell."""
+        turns = np.array([min(candidate.revolution, 1e9) for candidate in self.usable])
+        whole = np.floor(dwell / turns + 1e-9) * turns
+        usual = self.request.settings.whole_revolutions & (whole >= self.request.minimum_dwell)
+        return np.where(usual, whole, dwell)
+
+    def _information(self, dwells: Array) -> Array:
+        """Information of a visit of these dwells (n,) [s] at each candidate, linear between those of the tables."""
+        known = np.append(0.0, self.dwells)
+        tables = np.concatenate([np.zeros_like(self.tables[:, :1]), self.tables], axis=1)
+        at = np.clip(np.searchsorted(known, dwells), 1, known.size - 1)
+        share = ((dwells - known[at - 1]) / (known[at] - known[at - 1]))[:, None, None]
+        each = np.arange(len(tables))
+        return (1.0 - share) * tables[each, at - 1] + share * tables[each, at]
