@@ -57,7 +57,7 @@ def test_without_its_package_a_method_names_the_extra():
     assert "pip install 'piga[lab]'" in without("pyarrow", "c.to_arrow()")
 
 
-FIGURES = ("residuals", "orders", "ripple", "segments", "budget", "allan", "whiteness")
+FIGURES = ("residuals", "orders", "ripple", "segments", "allan", "whiteness")
 
 
 def labelled(figure) -> bool:
@@ -95,9 +95,7 @@ def test_a_figure_is_drawn_on_given_axes(cal, run):
     assert cal.plot.allan(ax=single) is single.figure
     with pytest.raises(piga.ArgumentError, match="has 2 panels, ax has 1"):
         cal.plot.residuals(ax=single)
-    with pytest.raises(
-        piga.ArgumentError, match="ax: a str is not an axes of Matplotlib\n  remedy: pass one axes"
-    ):
+    with pytest.raises(piga.ArgumentError, match="pass 1 axes of Matplotlib"):
         cal.plot.allan(ax=["not axes"])
 
 
@@ -105,7 +103,7 @@ def test_a_figure_without_data_is_refused(cal, alone):
     with pytest.raises(piga.CalibrationError, match="no data for the figure"):
         alone.plot.residuals()
     with pytest.raises(piga.CalibrationError, match="no data for the figure"):
-        cal.plot.convergence()
+        cal.plot.creep()
     assert labelled(alone.plot.segments())
 
 
@@ -119,9 +117,8 @@ def test_given_coefficients_say_nothing_of_residuals(tmp_path):
         assert words not in given.summary()
     assert "The coefficients were given, not estimated from a record." in page
     assert "esidual angle, rms" not in page
-    for name, remedy in {"budget": "read a calibration.json that has a budget", "segments": "have no segments",
-                         "residuals": "calibrate a record", "convergence": "method='recursive'"}.items():  # fmt: skip
-        with pytest.raises(piga.CalibrationError, match=remedy):
+    for name in ("segments", "residuals"):
+        with pytest.raises(piga.CalibrationError, match="calibrate a record"):
             getattr(given.plot, name)()
 
 

@@ -68,9 +68,9 @@ def shown_noise() -> ModuleType:
 
 def platform_figures() -> ModuleType:
     """Figures of the platform."""
-    from piga.reports.platform import figures
+    from piga.reports import platform
 
-    return figures
+    return platform
 
 
 def pages() -> ModuleType:

@@ -13,7 +13,8 @@ import piga
 from piga._kernels.compensation.data import TERMS
 from piga.calibration.orders import order_spectrum
 from piga.compensation import FLAGS, Phase
-from piga.reports.compensation import compensation_errors, error_figures
+from piga.records.calibration.diagnostics import Residuals
+from piga.reports.compensation import compensation_errors
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, mean_force, run_of
 
@@ -153,14 +154,14 @@ def test_no_line_is_left_at_the_revolution_orders():
     record.output[:] += 1e-5 * np.random.default_rng(2).standard_normal(t.size)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}, angle_rms=1e-5)
     result = piga.compensate(record, cal)
-    spectrum = order_spectrum(compensation_errors(record, result, K_G / G0), K_G / G0, noise=(1e-5, 0.0))
+    before, after = compensation_errors(record, result.dv, K_G / G0)
+    none, rows = np.zeros(t.size), np.arange(1, t.size + 1)
+    errors = Residuals(rows, t, record.output, none, before, after, none, np.zeros(t.size, np.int32))
+    spectrum = order_spectrum(errors, K_G / G0, noise=(1e-5, 0.0))
     first = int(np.argmin(np.abs(spectrum.order - 1.0)))
     assert abs(spectrum.before[first] / (TAN_BETA * G0) - 1.0) < 0.02
     shown = np.isfinite(spectrum.after)
     assert (spectrum.after[shown] < 3.5 * spectrum.noise[shown]).all()
-    figures = error_figures(record, result, K_G / G0, (1e-5, 0.0))
-    assert [figure.key for figure in figures] == ["compensation-error", "compensation-spectrum"]
-    assert all(axis.unit for figure in figures for panel in figure.panels for axis in (panel.x, panel.y))
 
 
 PLAIN = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.4}

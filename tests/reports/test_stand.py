@@ -46,7 +46,7 @@ def test_page_shows_stand_output_servo_and_truth():
     specimen = Specimen(INST, twin=replace(PRESETS["example"], torque_limit=0.01))
     test = simulate_test(stand, specimen, COUNTS, model="twin", imperfections=Imperfections(gravity=1e-5))
     drawn = simulation_figures(test)
-    assert list(drawn) == ["stand", "imperfections", "output", "locking", "servo", "bode", "step", "poles"]
+    assert list(drawn) == ["stand", "imperfections", "output", "locking", "servo", "bode"]
     for figure in (make() for make in drawn.values()):
         assert isinstance(figure, Figure)
         assert all(panel.x.quantity and panel.y.quantity for panel in figure.panels)

@@ -41,7 +41,7 @@ def simulate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
     """
     from piga.platform.scenario import load_scenario
     from piga.platform.simulate import readouts_table, truth_table
-    from piga.reports.platform.page import simulation_page
+    from piga.reports.platform import simulation_page
 
     files = ("readouts.parquet", "truth.parquet", "simulated.toml", "report.html")
     with _results(out, "simulate", scenario, force, json, *files) as to:
@@ -70,7 +70,7 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json 
     from piga.platform.alignment import align as align_platform
     from piga.platform.chain import prepare
     from piga.platform.scenario import load_scenario
-    from piga.reports.platform.page import alignment_page
+    from piga.reports.platform import alignment_page
 
     with _results(out, "align", scenario, force, json, "alignment.json") as to:
         run = _simulated(load_scenario(scenario))
@@ -102,7 +102,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
     from piga.platform.chain import sources_of
     from piga.platform.identify import identification_document, identify_growing, observability
     from piga.platform.scenario import load_scenario
-    from piga.reports.platform.page import identification_page
+    from piga.reports.platform import identification_page
 
     with _results(out, "identify", scenario, force, json, "identification.json") as to:
         run = _simulated(load_scenario(scenario))
@@ -127,7 +127,7 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
     """
     from piga.platform.chain import navigation_table
     from piga.platform.scenario import load_scenario
-    from piga.reports.platform.page import navigation_page
+    from piga.reports.platform import navigation_page
 
     with _results(out, "navigate", scenario, force, json, "navigation-*.parquet") as to:
         comparison = _compared(load_scenario(scenario))
@@ -159,7 +159,7 @@ def compare(
 
     from piga.platform.chain import error_budget, line_budget, line_budget_document, standard_sources
     from piga.platform.scenario import load_scenario
-    from piga.reports.platform.page import comparison_page
+    from piga.reports.platform import comparison_page
     from piga.reports.render.page import write_page
 
     with _results(out, "compare", scenario, force, json, "comparison.json", "capstone.html") as to:

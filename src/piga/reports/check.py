@@ -15,8 +15,7 @@ from piga.calibration.model.request import lost_phase
 from piga.records.arrays import changes, norms
 from piga.records.run import Run
 from piga.reports.calibration.tables import quality_table
-from piga.reports.render.envelope import POINTS
-from piga.reports.render.figure import XYZ, Figure, Plot
+from piga.reports.render.figure import POINTS, XYZ, Figure, Plot
 from piga.reports.render.numbers import count
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
 from piga.results import Array

@@ -13,19 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga._version import __version__
-from piga.calibration.orders import order_spectrum
 from piga.compensation import FLAGS, Compensated, CompensatedSet, Mounted
 from piga.compensation.model import MEANING
 from piga.compensation.result import Inputs
 from piga.errors import CalibrationError
 from piga.records.arrays import changes, middles
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.diagnostics import Residuals
 from piga.records.run import Run
-from piga.reports.calibration.figures import spectrum_figure
 from piga.reports.calibration.tables import coefficient_table, judgement, quality_table, scale_factor, sentence
-from piga.reports.render.envelope import POINTS, leading_part
-from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
+from piga.reports.render.figure import POINTS, XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, rounded, short
 from piga.reports.render.page import ALONE, Judgement, Notice, Page, Section, TableOf, Tile, Tone, named_values
 from piga.reports.render.page import sections as shown_sections
@@ -87,17 +83,15 @@ class CompensationOutline:
         return math.sqrt(sum(parts)) if parts else math.nan
 
 
-def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Length of each interval [s] and turn of the output over it, the base added; and the output angle [rad]."""
+def _turned(record: Run, without: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Length of each interval [s] and turn of the output over it, the base added."""
     h = np.where(without, 0.0, changes(record.t))
-    if record.kind == "rate":
-        turn = h * middles(record.output)
-        psi = np.cumsum(turn)
-    else:
-        turn, psi = np.where(h > 0.0, changes(record.output), 0.0), record.output
+    turn = (
+        h * middles(record.output) if record.kind == "rate" else np.where(h > 0.0, changes(record.output), 0.0)
+    )
     if record.base_rate is not None:
         turn = turn + h * middles(record.base_rate[:, 0])
-    return h, turn, psi
+    return h, turn
 
 
 def _indicated(
@@ -108,7 +102,7 @@ def _indicated(
     if record.kind == "rate":
         omega = 0.0 if record.base_rate is None else record.base_rate[:, 0]
         return (record.output + omega) / K
-    h, turn, _ = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
+    h, turn = _turned(record, begins | ((flags & FLAGS["no_increment"]) != 0))
     return turn / (K * np.where(h > 0.0, h, np.nan))
 
 
@@ -136,65 +130,35 @@ def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: Compensat
 
 # --- figures --------------------------------------------------------------------------------
 
-_WINDOW = 16
-"""Turns of the output that a spectrum looks at together."""
 TIME = "time since the first row [s]"
-_FLAG_ROLES: dict[str, Role] = {"no_increment": "muted", "near_critical": "model", "age": "reference"}
 
 
-def compensation_errors(record: Run, result: Compensated, scale_factor: float) -> Residuals:
-    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated (``before``) and compensated (``after``).
+def compensation_errors(record: Run, dv: Array, scale_factor: float) -> tuple[Array, Array]:
+    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated and compensated.
 
-    ``scale_factor`` is K [(rad/s)/(m/s^2)].
+    ``dv`` are the compensated increments, ``scale_factor`` is K [(rad/s)/(m/s^2)].
     """
-    h, turn, psi = _turned(record, record.begins)
+    h, turn = _turned(record, record.begins)
     force = h * middles(record.f[:, 0])
     scale = 1.0 if record.direct else scale_factor
-    before, after = (np.cumsum(scale * error) for error in (turn / scale_factor - force, result.dv - force))
-    number, nothing = np.arange(1, before.size + 1), np.broadcast_to(0.0, before.size)
-    segment = record.segment_index if record.segment_index.size else np.zeros(before.size, np.int32)
-    unit = "m/s" if record.direct else "rad"
-    return Residuals(number, record.t, psi, nothing, before, after, nothing, segment, unit=unit)
+    before, after = (np.cumsum(scale * error) for error in (turn / scale_factor - force, dv - force))
+    return before, after
 
 
-def error_figures(
-    record: Run, result: Compensated, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Figure, ...]:
-    """Error figures of a record whose reference holds ``a_x`` too: in time, and in revolution order.
-
-    ``scale_factor`` is K [(rad/s)/(m/s^2)]; ``noise`` the white noise of the angle [rad, rms] and its random walk [rad/sqrt(s)].
-    """
-    errors = compensation_errors(record, result, scale_factor)
+def error_figure(record: Run, dv: Array, scale_factor: float) -> Figure:
+    """Error against time of a record whose reference holds ``a_x``; ``scale_factor`` is K [(rad/s)/(m/s^2)]."""
     error = "velocity error [mm/s]" if record.direct else "velocity error as output angle [mrad]"
     plot = Plot("compensation-error", "Error before and after compensation.", TIME, error)
-    plot.line(errors.t - errors.t[0], 1e3 * errors.before, "as indicated", "before")
-    plot.line(errors.t - errors.t[0], 1e3 * errors.after, "compensated", "after")
+    before, after = compensation_errors(record, dv, scale_factor)
+    plot.line(record.t - record.t[0], 1e3 * before, "as indicated", "before")
+    plot.line(record.t - record.t[0], 1e3 * after, "compensated", "after")
+    words = "The running error of the velocity against the reference"
     if record.direct:
-        return (plot.caption("The running error of the velocity against the reference."),)
-    drawn = spectrum_figure(order_spectrum(_in_windows(leading_part(errors)), scale_factor, noise))
-    in_time = plot.caption(
-        "The running error of the velocity against the reference, in units of the output angle: the cross-coupling "
-        "ripples once a revolution and drifts; what is left after compensation is the noise of the output."
+        return plot.caption(f"{words}.")
+    return plot.caption(
+        f"{words}, in units of the output angle: the cross-coupling ripples once a revolution and drifts; what is left "
+        "after compensation is the noise of the output."
     )
-    caption = (
-        "Lines at whole orders are errors that turn with the output: the cross-coupling at order 1, its pulling and "
-        "the servo at order 2. After a good compensation no order stands out of the noise."
-    )
-    title = "Error in revolution order."
-    return in_time, replace(drawn, key="compensation-spectrum", title=title, caption=caption, notes=())
-
-
-def _in_windows(residuals: Residuals) -> Residuals:
-    """The residuals with every segment cut into windows of ``_WINDOW`` turns: where the force changes, so does the drift.
-
-    A spectrum of revolution orders takes out one drift per segment; over a moving record that is not enough.
-    """
-    psi = residuals.psi
-    change = np.diff(residuals.segment, prepend=-1) != 0
-    starts = psi[change][np.cumsum(change) - 1]
-    window = np.floor((psi - starts) / (2.0 * np.pi * _WINDOW))
-    segment = np.cumsum(change | (np.diff(window, prepend=0.0) != 0.0))
-    return replace(residuals, segment=segment.astype(np.int32))
 
 
 def force_figure(outline: CompensationOutline) -> Figure:
@@ -245,23 +209,7 @@ def misfit_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure:
     )
 
 
-def _flag_figure(outline: CompensationOutline) -> Figure:
-    """Times of every raised flag."""
-    axis = Axis("bit position of flag", "1", limits=(-0.5, 9.5))
-    plot = Plot("compensation-flags", "Flags against time.", TIME, axis, height=2.8)
-    for name, t in outline.raised().items():
-        bit = FLAGS[name].bit_length() - 1
-        rows = "1 row" if t.size == 1 else f"{t.size} rows"
-        shown = t[:: -(-t.size // POINTS)]
-        label, role = f"{bit} {name}: {rows}", _FLAG_ROLES.get(name, "warning")
-        plot.points(shown, np.full(shown.size, float(bit)), label, role)
-    return plot.caption("One mark per flagged row, or fewer in long records; the counts are of all rows.")
-
-
 # --- page -----------------------------------------------------------------------------------
-
-COMPARED_ROWS = 1 << 18
-"""Most rows of a record that is compared with its reference."""
 
 
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
@@ -381,18 +329,12 @@ def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
 
 
 def _reference(outline: CompensationOutline) -> Section:
-    title, anchor = "Against the reference", "reference"
-    if not isinstance(outline.result, Compensated) or outline.t.size > COMPARED_ROWS:
-        text = f"The error against the reference along the input axis is shown for records of at most {count(COMPARED_ROWS)} rows."
-        return Section(title, anchor, (Notice("info", text),))
-    calibration = outline.calibrations[0]
-    noise = (calibration.angle_rms, calibration.angle_random_walk)
     lead = (
         "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
         "these are the errors against it; they hold the errors of that reference, too."
     )
-    drawn = error_figures(outline.records[0], outline.result, scale_factor(calibration), noise)
-    return Section(title, anchor, (lead, *drawn))
+    drawn = error_figure(outline.records[0], outline.result.dv, scale_factor(outline.calibrations[0]))
+    return Section("Against the reference", "reference", (lead, drawn))
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
@@ -416,7 +358,7 @@ def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
     table.text("meaning", lambda row: MEANING[row[0]])
     caption = "Flags that were raised; times since the first row."
     said = [Notice("warning", words) for words in outline.result.notes]
-    return Section("Flags", "flags", (*said, _flag_figure(outline), table.table(caption, notes)))
+    return Section("Flags", "flags", (*said, table.table(caption, notes)))
 
 
 def _instruments(outline: CompensationOutline, names: Sequence[str]) -> Section:

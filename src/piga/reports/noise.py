@@ -113,27 +113,8 @@ def _interval(level: NoiseLevel, scale: float) -> str:
     return f"{short(level.lower / scale)} to {short(level.upper / scale)}"
 
 
-def _deviations_table(noise: NoiseAnalysis) -> Table:
-    one, unit = shown_output(noise.unit)
-    allan, *others = noise.deviations
-
-    def at(each: AllanDeviation, k: int) -> str:
-        known = k < each.tau.size and each.tau[k] == allan.tau[k]
-        return short(each.deviation[k] / one, 5) if known else ""
-
-    table = (
-        TableOf(range(allan.tau.size))
-        .number("averaging time", lambda k: short(allan.tau[k]), "s")
-        .number("Allan", lambda k: short(allan.deviation[k] / one, 5))
-        .number("68 % band", lambda k: f"{short(allan.lower[k] / one)} to {short(allan.upper[k] / one)}")
-        .number("degrees of freedom", lambda k: short(allan.degrees_of_freedom[k]))
-    )
-    table.across(others, lambda each: each.kind, lambda k, each: at(each, k))
-    return table.table(f"Deviations [{pretty_unit(unit)}]")
-
-
 def page(noise: NoiseAnalysis) -> Page:
-    """Levels, figures and all numbers."""
+    """Levels and figures."""
     lead = (
         "Levels are those of the largest likelihood of the spectrum. An interval ends where the likelihood falls to that of "
         "95 %. A level is not seen where its interval begins at zero."
@@ -147,7 +128,6 @@ def page(noise: NoiseAnalysis) -> Page:
         _tiles(noise),
         (
             Section("Levels", "levels", (lead, _levels_table(noise), *notices, drawn)),
-            Section("Deviations", "all-deviations", (_deviations_table(noise),)),
             Section("Spectrum", "the-spectrum", (partial(spectrum_figure, noise),)),
             origin(noise.input_sha256),
         ),

@@ -13,14 +13,14 @@ from piga.planning.candidates import Candidate, Prediction
 from piga.planning.mounting import Mounting
 from piga.planning.plan import CheapestTest, Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
-from piga.reports.render.figure import Axis, Figure, Plot, Role, named_axis
-from piga.reports.render.numbers import pretty_unit, short, signed, significant
+from piga.reports.render.figure import Axis, Figure, Plot, Role
+from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone, named_values
 from piga.results import Array
 from piga.units import G0
 
 SHOWN = 1e4
-"""Largest margin that is drawn. Larger margins are drawn at this value."""
+"""Largest margin that is told. Larger ones are drawn at this value."""
 
 
 def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
@@ -30,11 +30,8 @@ def _forces(candidates: tuple[Candidate, ...]) -> tuple[Array, Array]:
 
 
 def figures(plan: Plan) -> dict[str, Callable[[], Figure]]:
-    """The figures of a plan by name."""
-    drawn: dict[str, Callable[[], Figure]] = {
-        "positions": partial(_dwell_figure, plan),
-    }
-    return drawn if plan.request.direct else drawn | {"lock": partial(_lock_figure, plan)}
+    """The figure of a plan."""
+    return {"positions": partial(_dwell_figure, plan)}
 
 
 def _dwell_figure(plan: Plan) -> Figure:
@@ -50,33 +47,11 @@ def _dwell_figure(plan: Plan) -> Figure:
         plot.points(*_forces(excluded), "excluded", "warning", text=reasons)
     plot.points(*_forces(chosen), "chosen", "after", text=named)
     dwells = [visit.dwell for visit in plan.best.visits]
-    plot.panel(
-        named_axis("visit", tuple(visit.label for visit in chosen)),
-        Axis("dwell", "s", limits=(0.0, 1.1 * max(dwells))),
-        "Dwell",
-    )
+    visits = Axis("visit", "1", limits=(0.5, len(chosen) + 0.5), names=tuple(visit.label for visit in chosen))
+    plot.panel(visits, Axis("dwell", "s", limits=(0.0, 1.1 * max(dwells))), "Dwell")
     plot.line(np.arange(1, len(chosen) + 1), dwells, "dwell", "after", mark="bars", text=named)
     return plot.caption(
         "The whole time goes to a few positions; the others would add less per second, moves counted."
-    )
-
-
-def _lock_figure(plan: Plan) -> Figure:
-    """Distance of every candidate from the lock zone, and its gain per second."""
-    number = np.arange(1, len(plan.candidates) + 1)
-    margin = np.array([min(c.margin, SHOWN) for c in plan.candidates])
-    labels = tuple(f"{c.label}: {short(c.margin)}" for c in plan.candidates)
-    ends = [0, number.size + 1]
-    plot = Plot(
-        "plan-lock", "Distance from the lock zone", "candidate, in the order of the stand",
-        "log |a_x| over a_t tan(beta)",
-    )  # fmt: skip
-    plot.points(number, np.maximum(margin, 1e-2), "candidate", text=labels)
-    plot.level(ends, plan.request.settings.margin, "wanted margin", "warning")
-    plot.line(ends, [1.0, 1.0], "lock zone", "before")
-    return plot.caption(
-        "Below the solid line the output stands still whatever the input; positions below the dashed line are left out. "
-        "Values beyond 0.01 and 10 000 are drawn there."
     )
 
 
@@ -110,19 +85,18 @@ _CRITERIA = {
 
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
-    drawn = figures(plan)
     lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
     shown = [
-        Section("The test", "the-test", (lead, drawn["positions"], _visit_table(plan))),
+        Section("The test", "the-test", (lead, partial(_dwell_figure, plan), _visit_table(plan))),
         Section("What it will give", "what-it-gives", (_uncertainty_table(plan),)),
         *([] if plan.cheapest is None else [Section("Time", "time", (_cheapest(plan, plan.cheapest),))]),
     ]
-    if "lock" in drawn:
+    if not plan.request.direct:
         left_out: Notice | Table = Notice("info", "No candidate is in or near the lock zone.")
         if plan.excluded:
             rows = ((item.candidate.label, item.reason) for item in plan.excluded)
             left_out = named_values("candidate", "reason", rows, "Candidates left out.")
-        shown.append(Section("Lock zone", "lock-zone", (drawn["lock"], left_out)))
+        shown.append(Section("Lock zone", "lock-zone", (left_out,)))
     if mounting is not None:
         blocks = (_mounting_notice(mounting), partial(_mounting_figure, mounting))
         shown.append(Section("Mounting", "mounting", blocks))
@@ -158,8 +132,14 @@ def _visit_table(plan: Plan) -> Table:
     table.number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
     if not plan.request.direct:
         table.number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
+        table.number("|a_x| over a_t tan(beta)", lambda visit: _margin(visit.candidate))
     table.number("force along X0", lambda visit: signed(visit.candidate.force[0] / G0, 4), "g")
     return table.table("Visits in the order of the test.")
+
+
+def _margin(candidate: Candidate) -> str:
+    """Distance from the lock zone, which lies below 1."""
+    return short(candidate.margin) if candidate.margin < SHOWN else f"> {count(int(SHOWN))}"
 
 
 def _uncertainty_table(plan: Plan) -> Table:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.instrument import Instrument, dead_zone, mean_rate
-from piga.instrument.twin.linear import analyse_loop, loop_poles, open_loop, step_response
+from piga.instrument.twin.linear import analyse_loop, open_loop
 from piga.instrument.twin.parameters import TwinParameters
 from piga.instrument.twin.run import TwinMotion
 from piga.records.terms import integral_unit, shown_unit
@@ -85,9 +85,7 @@ def figures(test: SimulatedTest) -> Drawn:
         drawn["locking"] = partial(locking_figure, test.specimen.instrument, (float(across.max()),))
     if test.motion is not None:
         drawn["servo"] = partial(servo_figure, test, test.motion)
-        design = test.specimen.design
-        drawn["bode"], drawn["step"] = partial(bode_figure, design), partial(step_figure, design)
-        drawn["poles"] = partial(pole_figure, design)
+        drawn["bode"] = partial(bode_figure, test.specimen.design)
     return drawn
 
 
@@ -174,32 +172,6 @@ def bode_figure(p: TwinParameters) -> Figure:
     )
 
 
-def step_figure(p: TwinParameters) -> Figure:
-    """Response of the output rate to a step of specific force."""
-    slowest = -float(np.max(loop_poles(p).real))
-    t = np.linspace(0.0, min(8.0 / slowest, 60.0 / p.nutation) if slowest > 0.0 else 30.0 / p.nutation, 800)
-    plot = Plot("loop-step", "Step response", "time after the step [ms]", "rate/(K a_x)")
-    plot.line(1e3 * t, step_response(p, t), "rate/(K a)").level(1e3 * t, 1.0, "quasi-steady", "muted")
-    return plot.caption("Output rate after a step of specific force along the input axis.")
-
-
-def pole_figure(p: TwinParameters) -> Figure:
-    """Closed-loop poles in the complex plane."""
-    poles = loop_poles(p)
-    bound = 1.15 * float(np.max(np.abs(poles.imag), initial=0.2 * float(np.max(np.abs(poles)))))
-    stable, other = poles[poles.real < 0.0], poles[poles.real >= 0.0]
-    plot = Plot("loop-poles", "Poles of the closed loop", "real part [1/s]", "imaginary part [1/s]")
-    plot.points(stable.real, stable.imag, "stable pole")
-    if other.size:
-        plot.points(other.real, other.imag, "unstable pole", "warning")
-    plot.dashed([0.0, 0.0], [-bound, bound], "stability border", "muted")
-    return plot.caption(
-        "A pole lies on or right of the border: the loop is unstable."
-        if other.size
-        else "All poles lie left of the border: the loop is stable."
-    )
-
-
 def page(test: SimulatedTest, serial: str = "simulated") -> Page:
     """The page of a simulated test."""
     drawn, values, twin = figures(test), imperfection_values(test.imperfections), test.motion is not None
@@ -251,8 +223,11 @@ def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
     when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
     lost = Notice("warning", f"Pick-off or torque motor left their range: lock {when}.") if changes else None
     caption = "What finite servo stiffness does beyond the quasi-steady model (linear prediction)."
-    figures = (drawn[name] for name in ("servo", "bode", "step", "poles"))
-    return Section("The servo loop", "the-servo", (lost, *figures, _values_table(predictions(test), caption)))
+    return Section(
+        "The servo loop",
+        "the-servo",
+        (lost, drawn["servo"], drawn["bode"], _values_table(predictions(test), caption)),
+    )
 
 
 def _design_section(p: TwinParameters) -> Section:

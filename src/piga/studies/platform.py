@@ -39,8 +39,7 @@ from piga.platform.scenario import (
 )
 from piga.platform.simulate import TRIPOD, PlatformRun, locked, mounting_axes, simulate
 from piga.progress import Progress, Steps
-from piga.reports.platform.figures import HOUR, lines_figure, published_figure, schuler_peak, time_axis
-from piga.reports.platform.page import page
+from piga.reports.platform import HOUR, lines_figure, page, published_figure, schuler_peak, time_axis
 from piga.reports.render.figure import XYZ, Figure, Plot, Role, Series
 from piga.reports.render.numbers import short
 from piga.reports.render.page import Page, Section, Table, TableOf, Tile

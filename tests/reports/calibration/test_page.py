@@ -7,7 +7,6 @@ import pytest
 
 from piga.calibration.orders import residual_angles
 from piga.records.calibration.coefficient import Amount
-from piga.reports.calibration.figures import calibration_figures
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.calibration.tables import budget_tables, residual_quantity
 from piga.reports.render.numbers import ascii_text
@@ -34,7 +33,7 @@ def test_report_is_one_light_well_formed_file(written):
     parsed = Checker(text)
     assert not parsed.faults
     assert not parsed.stack
-    assert len(parsed.all("figure")) == 7
+    assert len(parsed.all("figure")) == 6
     ids = [attrs["id"] for _, attrs in parsed.elements if "id" in attrs]
     assert len(ids) == len(set(ids))
     assert not re.search(r"\bnan\b|\binf\b", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
@@ -145,21 +144,3 @@ def test_a_log_of_rates_is_reported_as_rates():
     wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
     np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
     assert residual_angles(cal.residuals, cal.diagnostics.residual_kind) is cal.residuals
-
-
-def figure_of(cal, key):
-    return next(figure for figure in calibration_figures(cal).values() if figure.key == key)
-
-
-def test_the_allan_deviation_of_one_segment_is_from_its_own_samples(cal):
-    """By the definition of [Riley2008], eq. 11, from the samples of segment 7 alone."""
-    (panel,) = figure_of(cal, "allan").panels
-    own = dict(panel.of_segments)
-    assert list(own) == list(range(24))
-    angle = cal.residuals.after[cal.residuals.segment == 7] / (math.pi / 648000.0)
-    tau, deviation = own[7].arrays()
-    for at in (0, tau.size // 2, tau.size - 1):
-        m = round(tau[at] / 0.05)
-        second = angle[2 * m :] - 2.0 * angle[m:-m] + angle[: -2 * m]
-        wanted = math.sqrt(np.mean(second**2) / (2.0 * (0.05 * m) ** 2))
-        assert deviation[at] == pytest.approx(wanted, rel=1e-6)

@@ -70,7 +70,7 @@ def page(word="plain"):
         Text(f"One {word}.\n\nTwo.", lead=True),
         Table(
             (TableColumn("Name", align="text"), TableColumn(word, "arcsec")),
-            (("a", Cell("1", "good")), (word, Cell("2", heat=-0.7))),
+            (("a", Cell("1", "good")), (word, Cell("2", "quiet"))),
             caption=word,
             notes=(word,),
         ),

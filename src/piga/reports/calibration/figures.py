@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,18 +22,16 @@ from piga.noise.deviations import allan_deviation
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.diagnostics import Residuals
 from piga.records.calibration.verdict import COUNTED
-from piga.records.terms import shown_output, shown_unit
-from piga.reports.calibration.tables import budget_shares, residual_quantity, scale_factor, shown_segments
-from piga.reports.render.envelope import POINTS, leading_part, outline, rows_of
-from piga.reports.render.figure import Axis, Figure, Plot, Role, Series, named_axis
-from piga.reports.render.numbers import pretty_unit
+from piga.records.terms import shown_output
+from piga.reports.calibration.tables import residual_quantity, scale_factor
+from piga.reports.render.figure import POINTS, Axis, Figure, Plot, Role
 from piga.results import Array
 from piga.units import ARCSEC, G0, MICRO_G
 
 _LAGS = 40
 """Lags of the autocorrelation."""
-_MOST_SOURCES = 6
-"""Sources of the budget that the figure shows."""
+_SHOWN = 1 << 20
+"""Samples that figures of noise and revolution orders work on at most."""
 BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
 """Why a line stands in the spectrum of a counted output."""
 _COUNTED_NOTE = (
@@ -50,13 +49,10 @@ def figures_of(cal: Calibration) -> dict[str, Callable[[], Figure | None]]:
     made: dict[str, Callable[[], Figure | None]] = {
         "segments": partial(segment_figure, cal),
         "creep": partial(creep_figure, cal),
-        "budget": partial(budget_figure, cal),
-        "outliers": partial(_outlier_figure, cal),
-        "convergence": partial(convergence_figure, cal),
     }
     if cal.residuals is None or not cal.residuals.t.size:
         return made
-    part = leading_part(cal.residuals)
+    part = _leading_part(cal.residuals)
     angles = residual_angles(part, cal.diagnostics.residual_kind)
     runs = tuple(run.name for run in cal.runs)
     made["residuals"] = partial(residual_figure, cal.residuals, residual_quantity(cal), runs)
@@ -66,6 +62,22 @@ def figures_of(cal: Calibration) -> dict[str, Callable[[], Figure | None]]:
     if not cal.direct:
         made |= {"orders": partial(_order_figure, cal, angles), "ripple": partial(_ripple_figure, cal, angles)}
     return made
+
+
+def _leading_part(residuals: Residuals) -> Residuals:
+    """The first samples of every segment, neighbours as in the record; all of a short record."""
+    if residuals.t.size <= _SHOWN:
+        return residuals
+    parts = segment_slices(residuals.segment)
+    share = max(_SHOWN // len(parts), 8)
+    rows = [np.arange(part.start, min(part.start + share, part.stop)) for part in parts]
+    return _rows_of(residuals, np.concatenate(rows))
+
+
+def _rows_of(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
+    names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment", "run")
+    known = ((name, getattr(residuals, name)) for name in names)
+    return replace(residuals, **{name: values[rows] for name, values in known if values is not None})
 
 
 def calibration_figures(cal: Calibration) -> dict[str, Figure]:
@@ -88,7 +100,8 @@ def residual_figure(
     parts = [("", residuals)]
     if residuals.run is not None:
         parts = [
-            (f"{name}, ", rows_of(residuals, np.flatnonzero(residuals.run == k))) for k, name in enumerate(runs)
+            (f"{name}, ", _rows_of(residuals, np.flatnonzero(residuals.run == k)))
+            for k, name in enumerate(runs)
         ]
     notes = tuple(
         note for name, part in parts if part.t.size for note in _draw_residuals(plot, name, part, quantity, per)
@@ -107,7 +120,6 @@ def _draw_residuals(
     plot: Plot, name: str, residuals: Residuals, quantity: tuple[str, str], per: float
 ) -> Iterator[str]:
     """Draw before and after, broken between segments and at holes of more than ten usual steps. Yields a note on a long record."""
-    residuals = outline(residuals)
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
     single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
@@ -149,11 +161,8 @@ def _order_figure(cal: Calibration, angles: Residuals) -> Figure | None:
     return spectrum_figure(spectrum, cal) if spectrum.segments else None
 
 
-def spectrum_figure(spectrum: OrderSpectrum, cal: Calibration | None = None) -> Figure:
-    """Ripple amplitude against revolution order. Lines above the noise are named in the notes.
-
-    ``cal`` names their segments; each of its segments gets a curve of its own.
-    """
+def spectrum_figure(spectrum: OrderSpectrum, cal: Calibration) -> Figure:
+    """Ripple amplitude against revolution order. Lines above the noise are named in the notes."""
     order = spectrum.order
     plot = Plot(
         "residual-order", "Residual against revolution order.", "revolution order [cycles/rev]",
@@ -164,10 +173,6 @@ def spectrum_figure(spectrum: OrderSpectrum, cal: Calibration | None = None) -> 
     if np.any(spectrum.counts > 0.0):
         shown = np.where(spectrum.counts > spectrum.noise, spectrum.counts, np.nan)
         plot.marked(order, shown / MICRO_G, "expected of whole counts, where above the noise", "warning")
-    single = shown_segments(cal) if cal is not None else []
-    for index, after in spectrum.single:
-        if index in single:
-            plot.of_segment(index, Series(order, after / MICRO_G, role="reference"))
     return plot.caption(
         "Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the output. Good: "
         "after calibration no line stands out of what is expected. A line at a whole order is a harmonic that the model "
@@ -177,12 +182,12 @@ def spectrum_figure(spectrum: OrderSpectrum, cal: Calibration | None = None) -> 
     )
 
 
-def _order_lines(spectrum: OrderSpectrum, cal: Calibration | None) -> list[str]:
+def _order_lines(spectrum: OrderSpectrum, cal: Calibration) -> list[str]:
     lines = []
     for order, index, explained in spectrum.lines():
         k = int(np.argmin(np.abs(spectrum.order - order)))
         size = f"{spectrum.after[k] / spectrum.noise[k]:.1f} times the expected noise"
-        segment = cal.segments[index].label if cal is not None and index < len(cal.segments) else str(index)
+        segment = cal.segments[index].label if index < len(cal.segments) else str(index)
         words = BEAT if explained else "neither the noise nor whole counts explain it"
         lines.append(f"Line at order {order:.3g}, {size}, most in segment {segment}: {words}.")
     return lines
@@ -221,13 +226,12 @@ def _segments_that_turn(number: int) -> str:
 def _allan_figure(cal: Calibration, residuals: Residuals) -> Figure | None:
     """Overlapping Allan deviation with its 68 % band, the noise found, and the slope of a bias drift for comparison.
 
-    ``residuals`` are angles [rad]. Each segment gets a curve of its own, from its own samples.
+    ``residuals`` are angles [rad].
     """
     per, shown = shown_output(cal.unit)
     white, walk = cal.angle_rms**2, cal.angle_random_walk**2
-    after, time, begins = np.asarray(residuals.after, dtype=float), np.asarray(residuals.t), _begins(residuals)
     levels = {2: 3.0 * white, 0: walk}
-    deviation = allan_deviation(after, time, begins, noise=levels)
+    deviation = allan_deviation(residuals.after, residuals.t, _begins(residuals), noise=levels)
     if deviation.tau.size < 2:
         return None
     tau, measured = deviation.tau, deviation.deviation / per
@@ -249,13 +253,6 @@ def _allan_figure(cal: Calibration, residuals: Residuals) -> Figure | None:
     if walk > 0.0:
         plot.dashed(tau, wander, "random walk", "y")
     plot.dashed(tau[near], drift[near], "slope of a drift", "warning")
-    single = shown_segments(cal)
-    for part in segment_slices(residuals.segment):
-        index = int(residuals.segment[part.start])
-        if index in single:
-            one = allan_deviation(after[part], time[part], begins[part], noise=levels)
-            curve = Series(one.tau, one.deviation / per, mark="line+points", role="reference")
-            plot = plot.of_segment(index, curve) if one.tau.size > 1 else plot
     return plot.caption(
         "Overlapping Allan deviation of what the calibration leaves, with its 68 % band. Stretches are pooled, "
         "not joined: nothing longer than a third of the longest one is seen. Good: the curve follows the noise found; "
@@ -300,7 +297,7 @@ def _whiteness_figure(residuals: Residuals, verdict: str | None) -> Figure | Non
     )
 
 
-# -- segments, budget, outliers, convergence -----------------------------------------------------------
+# -- segments and creep -----------------------------------------------------------------------------------
 
 
 def segment_figure(cal: Calibration) -> Figure | None:
@@ -342,83 +339,3 @@ def creep_figure(cal: Calibration) -> Figure | None:
         "points but one in twenty lie in the band. A curve that begins outside and comes back is a creep after each move: "
         "leave out that time with settle in [data]."
     )
-
-
-def budget_figure(cal: Calibration) -> Figure | None:
-    """Share of each source in the variance of each coefficient; None without a budget of several sources."""
-    keys, shares = budget_shares(cal)
-    if len(cal.budget) < 2 or not keys:
-        return None
-    number = np.arange(1, len(keys) + 1)
-    largest = sorted(shares, key=lambda source: -max(shares[source]))[:_MOST_SOURCES]
-    roles: tuple[Role, ...] = ("after", "before", "model", "reference", "warning", "muted")
-    y = Axis("share of the variance", "%", limits=(-3.0, 103.0))
-    plot = Plot(
-        "budget-shares", "Sources of the uncertainty.", named_axis("coefficient", tuple(keys)), y, height=3.2
-    )
-    for k, (source, role) in enumerate(zip(largest, roles, strict=False)):
-        place = number + 0.1 * (k - 0.5 * (len(largest) - 1))
-        text = tuple(f"{key}: {share:.3g} %" for key, share in zip(keys, shares[source], strict=True))
-        plot.points(place, shares[source], source, role, text=text)
-    return plot.caption(
-        "Share of each source in the variance of each coefficient; the largest sources are shown. The largest "
-        "share is what to improve."
-    )
-
-
-def _outlier_figure(cal: Calibration) -> Figure | None:
-    runs = list(dict.fromkeys(outlier.run for outlier in cal.outliers))
-    if not runs:
-        return None
-    (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
-    kinds: tuple[tuple[str, Role], ...] = (("spike", "after"), ("stuck", "model"), ("jump", "before"))
-    plot = Plot("outliers", "Samples left out.", height=2.3)
-    for run in runs:
-        miss = f"log miss of the {quantity.removeprefix('residual ')} [{unit}]"
-        plot.panel("time [s]", miss, f"Run {run}" if run else "")
-        for kind, role in kinds:
-            those = [o for o in cal.outliers if o.run == run and o.kind == kind and o.size > 0.0]
-            if those:
-                plot.points([o.time for o in those], [o.size / per for o in those], kind, role)
-    return plot.caption(
-        "How far each finding lies off the path of the output. Good: few, and without a pattern; a pattern "
-        "points to the counter, the cable or another machine."
-    )
-
-
-def convergence_figure(cal: Calibration) -> Figure | None:
-    """Estimate of every coefficient against the number of samples used, with its standard uncertainty if it has one."""
-    if cal.history is None or cal.history["sample"].size < 2:
-        return None
-    history = cal.history
-    samples = history["sample"]
-    plot = Plot("convergence", "Estimates while the record comes in.", columns=2, height=2.0)
-    for coefficient in cal.coefficients:
-        values = history.get(coefficient.key)
-        if values is None:
-            continue
-        scale, unit = shown_unit(coefficient.name, coefficient.unit)
-        quantity = coefficient.name
-        if coefficient.name == "scale_factor":
-            quantity, unit, scale = "scale_factor, from the result", "ppm", 1e6 / coefficient.value
-            values = values - coefficient.value
-        y = Axis(quantity, pretty_unit(unit) or "1", limits=_settled(values * scale))
-        plot.panel("log samples seen", y, coefficient.key)
-        half = history.get(f"u({coefficient.key})")
-        if half is not None:
-            plot.band(
-                samples, (values - half) * scale, (values + half) * scale, "standard uncertainty", "muted"
-            )
-        plot.line(samples, values * scale, "estimate", "model")
-    return plot.caption(
-        "The last point is the result. The scale is that of the second half of the curve: what happens "
-        "before may lie outside. Good: curves that settle inside their shrinking band."
-    )
-
-
-def _settled(values: Array) -> tuple[float, float]:
-    """Limits that show the second half of a history, with some room."""
-    late = values[values.size // 4 :]
-    low, high = float(late.min()), float(late.max())
-    room = 0.5 * (high - low) or abs(high) * 1e-6 or 1e-12
-    return low - room, high + room

@@ -22,7 +22,6 @@ from piga.reports.calibration.figures import (
     residual_figure,
 )
 from piga.reports.calibration.tables import facts_table, residual_quantity
-from piga.reports.render.envelope import outline
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
 from piga.reports.render.page import (
@@ -42,21 +41,10 @@ from piga.units import G0
 
 __all__ = ["brief", "figures", "page", "residual_figure"]
 
-_REMEDIES = {
-    "creep": "calibrate a record of five positions or more",
-    "segments": "calibrate a record: these coefficients have no segments",
-    "budget": "calibrate a record, or read a calibration.json that has a budget",
-    "convergence": "calibrate in this process with method='recursive'",
-}
-"""What to do where a calibration lacks the data of a figure. All other figures need residuals."""
-
 
 def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
     """The figures by name. One that the calibration has no data for is refused when it is called."""
-    names = (
-        "residuals", "orders", "ripple", "segments", "creep", "budget", "allan", "whiteness", "outliers",
-        "convergence",
-    )  # fmt: skip
+    names = ("residuals", "orders", "ripple", "segments", "creep", "allan", "whiteness")
     return {name: partial(_figure, cal, name) for name in names}
 
 
@@ -64,11 +52,9 @@ def _figure(cal: Calibration, name: str) -> Figure:
     make = figures_of(cal).get(name)
     drawn = make() if make is not None else None
     if drawn is None:
-        other = "calibrate a record that has what the figure shows"
-        if cal.residuals is None and not cal.given:
-            other = "calibrate the record in this process: calibration.json holds no residuals"
         raise CalibrationError(
-            f"plot.{name}: this calibration has no data for the figure", remedy=_REMEDIES.get(name, other)
+            f"plot.{name}: this calibration has no data for the figure",
+            remedy="calibrate a record in this process: calibration.json holds no residuals; creep needs five positions",
         )
     return drawn
 
@@ -129,7 +115,7 @@ def _subtitle(cal: Calibration) -> str:
     parts = "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
     seconds = math.fsum(segment.duration for segment in cal.segments)
     if not cal.segments and cal.residuals is not None and cal.residuals.t.size:
-        seconds = float(elapsed_time(outline(cal.residuals))[-1])
+        seconds = float(elapsed_time(cal.residuals)[-1])
     phases = "" if cal.direct else f", phases {cal.phases}"
     return (
         f"{', '.join(data) or 'a record in memory'}: {runs}{parts}, {duration(seconds)}, "
@@ -198,17 +184,16 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
         Section("Runs", "runs", (_RUNS, _runs(cal))),
         _coefficients(cal),
         Section("Residuals against time", "residuals", (_RESIDUALS, shown.get("residuals", _MISSING))),
-        Section("Convergence", "history", (_SETTLED, shown.get("convergence"))),
         *([] if cal.direct else [_rotation(shown)]),
         Section(
             "Segments",
             "segments",
             (_SEGMENTS, shown.get("segments"), shown.get("creep"), tables.segment_table(cal)),
         ),
-        _budget(cal, shown),
+        _budget(cal),
         _identifiability(cal, shown),
         *tables.comparison_sections(cal),
-        _quality(cal, shown),
+        _quality(cal),
         _provenance(cal),
     )
 
@@ -222,7 +207,6 @@ _RESIDUALS = (
     "and what it leaves should be noise."
 )
 _MISSING = Notice("info", "The residuals are not part of this record: run the calibration again to see them.")
-_SETTLED = "How the estimates settled while the record came in, sample by sample."
 _SEGMENTS = (
     "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
 )
@@ -249,7 +233,7 @@ def _rotation(shown: dict[str, Figure]) -> Section:
     return Section("Residuals against rotation", "rotation", content)
 
 
-def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
+def _budget(cal: Calibration) -> Section:
     lead = (
         "Where the uncertainty of each coefficient comes from, as standard uncertainties. Good: the fit (type A) and "
         "the largest source of type B are of the same size; otherwise the larger one is what to improve."
@@ -269,7 +253,6 @@ def _budget(cal: Calibration, shown: dict[str, Figure]) -> Section:
     content: tuple[Content, ...] = (
         lead,
         *tables.budget_tables(cal),
-        shown.get("budget"),
         *introduced(changes, *tables.sensitivity_tables(cal)),
         Notice("warning", warning) if warning else None,
         *missing,
@@ -341,7 +324,7 @@ def _tests(cal: Calibration) -> list[tuple[str, str]]:
     return [*rows, ("Whitened residuals are", tests.verdict)] if tests.verdict else rows
 
 
-def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
+def _quality(cal: Calibration) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
@@ -359,7 +342,7 @@ def _quality(cal: Calibration, shown: dict[str, Figure]) -> Section:
         "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
         "none is formed across a jump."
     )
-    left_out = (text, shown.get("outliers"), tables.outlier_table(cal)) if cal.outliers else ()
+    left_out = (text, tables.outlier_table(cal)) if cal.outliers else ()
     return Section("Data quality", "quality", (lead, facts_table(rows), found, *left_out))
 
 

@@ -158,6 +158,10 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
     return tuple(notes)
 
 
+_CORRELATED = 0.9
+"""Correlation beyond which a record trades one coefficient for the other."""
+
+
 def correlation_table(cal: Calibration) -> Table | None:
     """Correlation matrix of the common coefficients, or None when there is but one."""
     index = [row for row, c in enumerate(cal.coefficients) if c.segment is None][:_COEFFICIENTS]
@@ -169,10 +173,10 @@ def correlation_table(cal: Calibration) -> Table | None:
         matrix = covariance / np.outer(std, std)
 
     def cell(i: int, j: int) -> Cell:
-        if i == j:
-            return Cell("1", "quiet")
         value = float(matrix[i, j])
-        return Cell(signed(value, 2), heat=value) if math.isfinite(value) else Cell("–")
+        if i == j or not math.isfinite(value):
+            return Cell("1" if i == j else "–", "quiet")
+        return Cell(signed(value, 2), "doubtful" if abs(value) > _CORRELATED else "")
 
     names, rows = [cal.coefficients[row].key for row in index], range(len(index))
     table = TableOf(rows).text("", lambda i: names[i]).across(rows, lambda j: names[j], cell)
@@ -421,16 +425,6 @@ def _contribution(part: float, c: Coefficient, whole: float = 0.0) -> Cell:
         return Cell("–", "quiet")
     share = f" ({100.0 * (part / whole) ** 2:.0f} %)" if whole > 0.0 else ""
     return Cell(short(part * shown_unit(c.name, c.unit)[0], 2) + share)
-
-
-def budget_shares(cal: Calibration) -> tuple[list[str], dict[str, list[float]]]:
-    """Keys of the coefficients with a budget, and the share [%] of each source in the variance of each."""
-    known = [(c, whole) for c in _shown_coefficients(cal) if c.std > 0.0 and (whole := _combined(cal, c)) > 0.0]
-    shares = {
-        source.source: [100.0 * (source.contribution(c) / whole) ** 2 for c, whole in known]
-        for source in _sources(cal)
-    }
-    return [c.key for c, _ in known], shares
 
 
 def budget_tables(cal: Calibration) -> tuple[Table, ...]:

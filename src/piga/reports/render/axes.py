@@ -72,14 +72,12 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
         return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
     needed = len(figure.panels)
-    remedy = f"pass {needed} axes, e.g. those of plt.subplots({needed})" if needed > 1 else "pass one axes"
-    other = next((item for item in chosen if not isinstance(item, Axes)), None)
-    if other is not None:
-        raise ArgumentError(f"ax: a {type(other).__name__} is not an axes of Matplotlib", remedy=remedy)
-    if len(chosen) != needed:
+    if len(chosen) != needed or not all(isinstance(item, Axes) for item in chosen):
         panels = f"{needed} panel{'s' * (needed > 1)}"
-        message = f"ax: the figure '{figure.key}' has {panels}, ax has {len(chosen)}"
-        raise ArgumentError(message, remedy=remedy)
+        raise ArgumentError(
+            f"ax: the figure '{figure.key}' has {panels}, ax has {len(chosen)}",
+            remedy=f"pass {needed} axes of Matplotlib, e.g. those of plt.subplots({needed})",
+        )
     for panel, axes in zip(figure.panels, chosen, strict=True):
         _panel(panel, axes)
         if sum(1 for series in panel.series if series.name) > 1:

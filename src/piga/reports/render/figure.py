@@ -14,12 +14,12 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.reports.render.envelope import POINTS, envelope_rows
 from piga.results import Plotted, Result
 
 Mark = Literal["line", "points", "line+points", "bars", "band", "steps"]
@@ -27,6 +27,8 @@ Role = Literal["data", "model", "before", "after", "reference", "warning", "x", 
 
 XYZ: Final[tuple[Role, Role, Role]] = ("x", "y", "z")
 """Roles of the three components of a vector."""
+POINTS = 2000
+"""Points that a drawn curve keeps at most."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,6 @@ def axis(text: str | Axis, limits: tuple[float, float] | None = None, names: tup
     return Axis(quantity.removeprefix("log "), unit or "1", log, limits, names=names)
 
 
-def named_axis(quantity: str, names: tuple[str, ...]) -> Axis:
-    """An x axis with a name at each of the values 1, 2, ..."""
-    return Axis(quantity, "1", limits=(0.5, len(names) + 0.5), names=names)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Series(Result):
     """One curve: ``x`` and ``y`` of equal length, in the units of the panel's axes.
@@ -98,18 +95,13 @@ class Series(Result):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series. ``equal`` keeps the same scale on both axes (polar plots).
-
-    ``of_segments`` are curves of single segments, each with the index of its segment. A page on the screen shows one while
-    its segment is selected; print and pictures leave them out.
-    """
+    """One pair of axes with its series. ``equal`` keeps the same scale on both axes (polar plots)."""
 
     x: Axis
     y: Axis
     series: tuple[Series, ...]
     title: str = ""
     equal: bool = False
-    of_segments: tuple[tuple[int, Series], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -249,15 +241,35 @@ class Plot:
         self._panels[-1] = replace(panel, series=(*panel.series, *series))
         return self
 
-    def of_segment(self, segment: int, series: Series) -> Self:
-        """Add the curve of a single segment, shown while that segment is selected on a page."""
-        panel = self._panels[-1]
-        self._panels[-1] = replace(panel, of_segments=(*panel.of_segments, (segment, series)))
-        return self
-
     def caption(self, text: str, *notes: str) -> Figure:
         """The figure with its caption, and small print below."""
         return replace(self._figure, panels=tuple(self._panels), caption=text, notes=notes)
+
+
+def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
+    """Rows of ``y`` (n,) that keep its envelope, rising: lowest, highest and one gap row of each bucket, and both ends.
+
+    Rows that are not finite are gaps of the curve. There are at most ``limit`` rows (at least 8); a shorter curve is whole.
+    """
+    values = np.asarray(y)
+    if values.size <= limit:
+        return np.arange(values.size)
+    edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
+    kept = [0, values.size - 1]
+    for start, stop in pairwise(edges.tolist()):
+        kept += [start + row for row in _bucket_rows(values[start:stop])]
+    return np.unique(np.array(kept, dtype=np.int64))
+
+
+def _bucket_rows(values: NDArray[Any]) -> list[int]:
+    low, high = int(np.argmin(values)), int(np.argmax(values))
+    if np.isfinite(values[low]) and np.isfinite(values[high]):
+        return [low, high]
+    finite = np.flatnonzero(np.isfinite(values))
+    gap = int(np.argmin(np.isfinite(values)))
+    if finite.size == 0:
+        return [gap]
+    return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
 
 
 def bar_width(x: ArrayLike) -> float:

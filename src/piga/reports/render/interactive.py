@@ -24,13 +24,12 @@ _DAY = 86.4e6
 
 
 def figure_spec(figure: Figure) -> dict[str, Any]:
-    """The figure as a plotly.js document: ``data``, ``layout``, ``narrow`` (layout changes for a phone) and ``single``.
+    """The figure as a plotly.js document: ``data``, ``layout``, and ``narrow`` (layout changes for a phone).
 
-    ``single`` are the curves of single segments; their ``meta`` is the index of the segment. The ``meta`` of another
-    trace is the index of the segment of each of its points. Numbers keep six significant digits of their own spread; the
-    values shown under the pointer carry their units.
+    The ``meta`` of a trace is the index of the segment of each of its points. Numbers keep six significant digits of their
+    own spread; the values shown under the pointer carry their units.
     """
-    traces, single, shown = [], [], set()
+    traces, shown = [], set()
     for index, panel in enumerate(figure.panels):
         for order, series in enumerate(panel.series):
             trace = _trace(series, panel, suffix=_suffix(index))
@@ -38,12 +37,7 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
             trace["showlegend"] = bool(series.name) and series.name not in shown
             shown.add(series.name)
             traces += [*_band_base(trace, series), trace]
-        single += [
-            _trace(series, panel, suffix=_suffix(index))
-            | {"meta": segment, "uid": f"{figure.key}-single-{index}"}
-            for segment, series in panel.of_segments
-        ]
-    return {"data": traces, "layout": _layout(figure), "narrow": _narrow(figure), "single": single}
+    return {"data": traces, "layout": _layout(figure), "narrow": _narrow(figure)}
 
 
 def _suffix(index: int) -> str:

@@ -83,23 +83,11 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a cell with a tone, or with a ``heat`` from -1 to 1 that tints it.
-
-    ``title``: shown when the pointer rests on the first cell of a row.
-    """
+    """Text of a cell with a tone. ``title``: shown when the pointer rests on the first cell of a row."""
 
     text: str
     tone: Tone = ""
-    heat: float | None = None
     title: str = ""
-
-    @property
-    def css(self) -> str:
-        """CSS classes of the cell."""
-        if self.heat is None:
-            return self.tone
-        level = min(5, int(abs(self.heat) * 5.999))
-        return f"{self.tone} heat-{'p' if self.heat >= 0 else 'n'}{level}".strip()
 
 
 @dataclass(frozen=True)

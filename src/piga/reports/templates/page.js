@@ -36,26 +36,19 @@
   const picker = document.getElementById("chosen");
   const names = picker ? [...picker.options].slice(1).map((option) => option.text) : [];
   let selected = null;
-  const marked = (spec, layout) => {
-    const ink = layout.font.color;
+  const marked = (traces, ink) => {
     const extra = [];
     const name = `segment ${names[selected]}`.replace(/&/g, "&amp;").replace(/</g, "&lt;");
     const add = (trace) => extra.push({
       ...trace, meta: null, text: null, hoverinfo: "skip", hovertemplate: "", name,
       legendgroup: "selected", showlegend: !extra.length, uid: `${trace.uid}-selected`,
     });
-    const data = spec.data.map((trace) => {
+    const data = traces.map((trace) => {
       if (!Array.isArray(trace.meta) || !trace.meta.includes(selected)) return trace;
       const y = trace.y.map((value, k) => (trace.meta[k] === selected ? value : null));
       if (trace.mode === "markers") add({ ...trace, y, marker: { color: ink, size: 13, symbol: "circle-open", line: { width: 2.5 } } });
       else add({ ...trace, y, line: { color: ink, width: 2 } });
       return { ...trace, opacity: 0.35 };
-    });
-    spec.single.filter((trace) => trace.meta === selected).forEach((trace) => {
-      const axis = layout[trace.yaxis.replace("y", "yaxis")];
-      delete axis.range;
-      axis.autorange = true;
-      add({ ...trace, line: { ...trace.line, width: 2.5 } });
     });
     return data.concat(extra);
   };
@@ -89,7 +82,7 @@
     }
     layout.uirevision = "kept";  // what the reader zoomed stays
     const themedData = themed(spec.data, style);
-    const data = selected === null ? themedData : marked({ data: themedData, single: themed(spec.single, style) }, layout);
+    const data = selected === null ? themedData : marked(themedData, layout.font.color);
     const live = figure.querySelector(".live");
     live.dataset.plain = live.dataset.plain || live.getAttribute("aria-label");
     live.setAttribute("aria-label", live.dataset.plain + (data.length > spec.data.length ? ` Segment ${names[selected]} is marked.` : ""));
@@ -134,8 +127,7 @@
       row.classList.toggle("selected", own);
       row.querySelector("button").setAttribute("aria-pressed", String(own));
     });
-    const linked = ({ data, single }) => single.length > 0 || data.some((trace) => Array.isArray(trace.meta));
-    redraw((figure) => linked(specs.get(figure)));
+    redraw((figure) => specs.get(figure).data.some((trace) => Array.isArray(trace.meta)));
   };
   const toggle = (segment) => {
     if (names[segment] !== undefined) select(segment === selected ? null : segment);

@@ -1,12 +1,17 @@
+"""Figures on pages and in files show the same numbers; a long curve keeps its extremes and gaps."""
+
 import json
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from piga.errors import ArgumentError
 from piga.reports.render.axes import draw, write_figure
-from piga.reports.render.figure import Axis, Figure, Panel, Series
+from piga.reports.render.figure import Axis, Figure, Panel, Series, envelope_rows
 from piga.reports.render.interactive import figure_spec
 from piga.reports.render.page import json_island
 
@@ -53,15 +58,6 @@ def test_gaps_are_null_and_json_is_strict():
     assert spec["data"][0]["y"] == [1.0, None, None, 4.0]
 
 
-@pytest.mark.parametrize(("largest", "ticks"), [(40.0, "D2"), (1e5, 1)])
-def test_a_short_logarithmic_axis_has_more_labels_than_its_decades(largest, ticks):
-    panel = Panel(
-        Axis("time", "s", log=True), Axis("u", "1"), (Series(np.array([1.0, largest]), np.arange(2)),)
-    )
-    layout = figure_spec(Figure("log", "Log.", (panel,)))["layout"]
-    assert (layout["xaxis"]["dtick"], "dtick" in layout["yaxis"]) == (ticks, False)
-
-
 def test_text_for_plotly_holds_no_markup_of_the_data():
     names = [trace["name"] for trace in figure_spec(every_mark())["data"]]
     assert "error &lt;b&gt;" in names
@@ -77,3 +73,32 @@ def test_figure_files_are_written_and_repeat(tmp_path, ending):
 def test_other_file_types_are_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"\.svg, \.pdf or \.png"):
         write_figure(every_mark(), tmp_path / "a.bmp")
+
+
+CURVES = arrays(
+    float, st.integers(1, 400), elements=st.one_of(st.floats(-1e6, 1e6), st.sampled_from([np.nan, np.inf]))
+)
+
+
+@given(CURVES, st.integers(8, 60))
+def test_extremes_and_ends_stay_and_the_limit_holds(y, limit):
+    rows = envelope_rows(y, limit)
+    assert rows.size <= max(limit, min(y.size, limit))
+    assert np.all(np.diff(rows) > 0)
+    assert rows[0] == 0
+    assert rows[-1] == y.size - 1
+    finite = y[np.isfinite(y)]
+    kept = y[rows][np.isfinite(y[rows])]
+    if finite.size:
+        assert kept.min() == finite.min()
+        assert kept.max() == finite.max()
+
+
+def test_every_bucket_with_a_gap_keeps_a_gap():
+    y = np.sin(np.linspace(0, 50, 100_000))
+    holes = [20_000, 20_001, 71_234]
+    y[holes] = np.nan
+    rows = envelope_rows(y)
+    assert np.isnan(y[rows]).sum() == 2
+    between = rows[(rows > 20_001) & (rows < 71_234)]
+    assert between.size > 500
