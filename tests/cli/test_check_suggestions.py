@@ -34,41 +34,6 @@ def with_line(path: Path, table: str, line: str) -> Path:
     return changed
 
 
-def saturated(sign: float) -> list[str]:
-    """Counts of a record whose component fy runs into the end of its range."""
-    t = np.arange(400) / 20.0
-    fy = sign * np.minimum(0.3 * np.sin(t / 3.0) + 0.001 * np.sin(40.0 * t), 0.25)
-    fx = np.cos(fy)
-    n = np.round(np.cumsum(10179.0 / 20.0 * fx))
-    return [f"{a:.4f},{b:.0f},{c:.9f},{d:.6f},0.0" for a, b, c, d in zip(t, n, fx, fy, strict=True)]
-
-
-@pytest.mark.parametrize(("sign", "limits"), [(1.0, "[-1e+30, 0.25]"), (-1.0, "[-0.25, 1e+30]")])
-def test_the_range_of_a_column_that_saturates(tmp_path: Path, sign: float, limits: str) -> None:
-    write_log(tmp_path, saturated(sign))
-    path = write_run(tmp_path)
-    assert "stuck-value" in events(piga.read_run(path))
-    suggestion = suggested(path)
-    assert suggestion == [("data", f"range = {{ fy = {limits} }}")]
-    after = piga.read_run(with_line(path, *suggestion[0]))
-    assert "stuck-value" not in events(after)
-    assert events(after)["saturated"] > 8
-
-
-def test_a_phase_that_is_lost(tmp_path: Path) -> None:
-    rows = [f"{row},A" for row in lines(30)] + [f"{row},B" for row in lines(30)]
-    rows[30:] = [f"{float(row.split(',')[0]) + 5.0:.4f},{row.split(',', 1)[1]}" for row in rows[30:]]
-    write_log(tmp_path, rows, header="t,n,fx,fy,fz,seg")
-    path = write_run(tmp_path, instrument="counter_bits = 24", data='segment = "seg"')
-    run = piga.read_run(path)
-    assert "phase-lost" in events(run)
-    assert len(set(run.phase_group)) == 2
-    assert ("model", "phases = 'per-segment'") in suggested(path)
-    assert events(piga.read_run(with_line(path, "model", "phases = 'per-segment'"))) == events(run)
-    former = with_line(path, "model", "phase = 'shared'")
-    assert ("model", "phase = 'per-segment'") in suggested(former), "the name that the file uses"
-
-
 def clean_table(text: str) -> str:
     return text[text.index("[data]") :]
 
@@ -172,12 +137,6 @@ def decimal_or_thousands(folder: Path) -> Path:
     return write_run(folder)
 
 
-def other_encoding(folder: Path) -> Path:
-    text = "\n".join(["t,n,fx,fy,fz,备注", *(f"{row},好" for row in lines()), ""])
-    (folder / "run.csv").write_bytes(text.encode("gb18030"))
-    return write_run(folder)
-
-
 RECORDS: dict[str, tuple[Callable[[Path], Path], set[str]]] = {
     "preamble": (preamble, {"header_row"}),
     "time-stamps": (time_stamps, {"time"}),
@@ -188,7 +147,6 @@ RECORDS: dict[str, tuple[Callable[[Path], Path], set[str]]] = {
     "footer": (footer, {"damaged_rows"}),
     "sheets": (sheets, {"sheet"}),
     "decimal-or-thousands": (decimal_or_thousands, {"decimal"}),
-    "other-encoding": (other_encoding, {"encoding"}),
 }
 """Each record, and the keys that must be suggested."""
 

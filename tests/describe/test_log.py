@@ -129,5 +129,5 @@ def test_a_damaged_row_near_the_start_does_not_end_the_table(tmp_path: Path, dam
     body[20] = damage
     (tmp_path / "x.csv").write_text("\n".join(["t,n,fx,fy,fz", *body]) + "\n")
     layout = text_layout(tmp_path / "x.csv")
-    assert layout.header_row.value == 1
+    assert layout.rows.header == 1
     assert layout.names == ("t", "n", "fx", "fy", "fz")

@@ -138,7 +138,7 @@ def _answer(words: str) -> str:
 def _column_lines(described: LogDescription) -> Iterator[str]:
     layout = described.layout
     if layout is not None:
-        yield f"{described.path}: {layout.encoding.value} text; names in row {layout.header_row.value}"
+        yield f"{described.path}: {layout.encoding} text; names in row {layout.rows.header}"
     names = [column.name if len(column.name) < 60 else f"{column.name[:57]}..." for column in described.columns]
     width = max(map(len, names), default=0)
     for name, column in zip(names, described.columns, strict=True):

@@ -110,7 +110,7 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
 
 def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     layout = text_layout(path)
-    decimal, cells = layout.decimal.value, layout.sample.items()
+    decimal, cells = layout.decimal, layout.sample.items()
     numeric = tuple(name for name, some in cells if _mostly_numbers(some, decimal))
     label = _label_column(layout.names, layout.sample, told)
     stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
@@ -120,10 +120,10 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         path,
         read,
         label,
-        separator=layout.separator.value,
+        separator=layout.separator,
         decimal=decimal,
-        encoding=layout.encoding.value,
-        rows=HeadRows(layout.skip_rows, layout.header_row.value, layout.units_row.value),
+        encoding=layout.encoding,
+        rows=layout.rows,
         mask_damaged=True,
         stamp=stamp,
     )
@@ -299,24 +299,21 @@ class Guess:
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Layout of a text log. Rows are counted from 1.
+    """Layout of a text log. ``guesses`` are keys of ``[data]``, ``facts`` keys of the run file that the preamble gives.
 
-    ``header_row`` is a pair where the names stand over two rows; False if no row holds names: the columns are then A, B, C.
-    ``skip_rows``: lines before the numbers of such a file. ``marked``: the row of the names begins with the mark of a comment.
-    ``facts`` are keys of the run file that the preamble gives.
+    ``sample``: the first cells of each column. The rows of the names are a pair where these stand over two rows; False if no row
+    holds names: the columns are then A, B, C.
     """
 
-    encoding: Guess
-    separator: Guess
-    decimal: Guess
-    header_row: Guess
-    units_row: Guess
+    encoding: str
+    separator: str
+    decimal: str
+    rows: HeadRows
     names: tuple[str, ...]
     units: dict[str, str]
     sample: dict[str, list[str]]
+    guesses: dict[str, Guess]
     facts: dict[str, Guess]
-    marked: bool = False
-    skip_rows: int = 0
 
 
 def text_layout(path: Path) -> TextLayout:
@@ -331,11 +328,13 @@ def text_layout(path: Path) -> TextLayout:
             continue
         layouts.append(_layout(head, path, encoding))
     best = max(layouts, key=lambda one: known_names(one.names))
-    others = tuple(one.encoding.value for one in layouts if one is not best)
+    if best.encoding in ("utf-8", "ascii"):
+        return best
+    others = tuple(one.encoding for one in layouts if one is not best)
     why = "the bytes are not UTF-8, and the column names are words in this encoding"
     if len(tried) == 1:
-        why = "all bytes are UTF-8" if first in ("utf-8", "ascii") else "the file has a byte-order mark"
-    return replace(best, encoding=Guess(best.encoding.value, why, others))
+        why = "the file has a byte-order mark"
+    return replace(best, guesses=best.guesses | {"encoding": Guess(best.encoding, why, others)})
 
 
 @dataclass(frozen=True)
@@ -362,39 +361,42 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     upper = None if header is None else _upper(lines, header, table)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
     decimal = _decimal(body, table.separator)
-    skip = table.start if header is None else 0
     names_at = False if header is None else header + 1 if upper is None else (upper + 1, header + 1)
-    rows = HeadRows(skip, names_at, False if units_at is None else units_at + 1)
+    rows = HeadRows(table.start if header is None else 0, names_at, False if units_at is None else units_at + 1)
     form = find_format(head, path, encoding, table.separator, decimal.value, rows)
-    names, units = form.names, form.units
     sample = {
         name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
-        for k, name in enumerate(names)
+        for k, name in enumerate(form.names)
         if name
     }
-    above = table.start if header is None else header if upper is None else upper
-    skipped = (
-        "" if above == 0 else f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble"
-    )
-    why = f"the first row above the numbers with {len(names)} names{skipped}"
-    if header is None:
-        why = f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}"
-    elif upper is not None:
-        why = "the names stand over two rows"
-    no_units = Guess(False, "the numbers begin below the names")
     shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
+    split = f"{shown} splits {table.rows} rows into {table.width} cells each"
+    guesses = {"delimiter": Guess(table.separator, split), "decimal": decimal}
+    above = table.start if header is None else header if upper is None else upper
+    if names_at != 1 or _bare(lines[header or 0]) != lines[header or 0]:
+        skipped = (
+            f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble" if above else ""
+        )
+        why = f"the first row above the numbers with {len(form.names)} names{skipped}"
+        if header is None:
+            why = f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}"
+        elif upper is not None:
+            why = "the names stand over two rows"
+        guesses["header_row"] = Guess(names_at, why)
+    if rows.skip:
+        guesses["skip_rows"] = Guess(rows.skip, "lines before the numbers")
+    if units_at is not None:
+        guesses["units_row"] = Guess(units_at + 1, "it holds units and no numbers")
     return TextLayout(
-        encoding=Guess(encoding, ""),
-        separator=Guess(table.separator, f"{shown} splits {table.rows} rows into {table.width} cells each"),
-        decimal=decimal,
-        header_row=Guess(names_at, why),
-        units_row=no_units if units_at is None else Guess(units_at + 1, "it holds units and no numbers"),
-        names=names,
-        units=units,
-        sample=sample,
-        facts=_facts(lines[:above]),
-        marked=header is not None and _bare(lines[header]) != lines[header],
-        skip_rows=skip,
+        encoding,
+        table.separator,
+        decimal.value,
+        rows,
+        form.names,
+        form.units,
+        sample,
+        guesses,
+        _facts(lines[:above]),
     )
 
 

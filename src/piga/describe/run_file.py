@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
-import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import UNITS, WORDS, ColumnGuess, Values, kind_of_name, plain
+from piga.describe.columns import UNITS, ColumnGuess, Values, kind_of_name, plain
 from piga.describe.draft import RunFileDraft, number_in
-from piga.describe.log import Guess, LogDescription
+from piga.describe.log import LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
 from piga.errors import DataError, PigaError
 from piga.records.run import Run
@@ -55,7 +55,10 @@ def draft_run_file(
     ]
     file = os.path.relpath(log.path, folder or log.path.parent)
     draft.put("data.file", Path(file).as_posix())
-    _layout(draft, log)
+    guesses = log.layout.guesses if log.layout else {}
+    sheet = {"sheet": log.facts["data.sheet"]} if "data.sheet" in log.facts else {}
+    for key, guess in (sheet | guesses).items():
+        draft.put_guess(f"data.{key}", guess)
     _time(draft, log)
     output = put_output(draft, log)
     _optional(draft, log)
@@ -110,25 +113,6 @@ def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     raise error
 
 
-def _layout(draft: RunFileDraft, log: LogDescription) -> None:
-    layout = log.layout
-    if "data.sheet" in log.facts:
-        draft.put_guess("data.sheet", log.facts["data.sheet"])
-    if layout is None:
-        return
-    guesses = {"delimiter": layout.separator, "decimal": layout.decimal}
-    if layout.encoding.value not in ("utf-8", "ascii"):
-        guesses["encoding"] = layout.encoding
-    if layout.header_row.value != 1 or layout.marked:
-        guesses["header_row"] = layout.header_row
-    if layout.skip_rows:
-        guesses["skip_rows"] = Guess(layout.skip_rows, "lines before the numbers")
-    if layout.units_row.value is not False:
-        guesses["units_row"] = layout.units_row
-    for key, guess in guesses.items():
-        draft.put_guess(f"data.{key}", guess)
-
-
 def _time(draft: RunFileDraft, log: LogDescription) -> None:
     times = sorted(log.of("time"), key=lambda column: bool(column.stamp))
     if not times:
@@ -139,19 +123,13 @@ def _time(draft: RunFileDraft, log: LogDescription) -> None:
             draft.put("data.sample_rate", rate, f"{step.reason}: the time between samples")
         return
     column = times[0]
-    others = [f"  or: column {other.name}" for other in times if other is not column]
-    others += [
-        f"  or: {'stamp' if column.stamp else 'unit'} = {toml_value(other.removeprefix('unit '))}"
-        for other in column.alternatives
-        if other not in WORDS.values()
-    ]
     value = {"column": column.name, **({"stamp": column.stamp} if column.stamp else {"unit": column.unit})}
     rounded = _rate_of_rounded(log.numbers.get(column.name, np.empty(0)), column)
     if rounded is not None:
         why = f"the times of {column.name} are rounded: each stands in {rounded[1]:g} rows"
-        draft.put("data.sample_rate", f"{rounded[0]:.9g} Hz", why, f"  or: time = {toml_value(value)}", *others)
+        draft.put("data.sample_rate", f"{rounded[0]:.9g} Hz", why)
         return
-    draft.put("data.time", value, column.reason, *others)
+    draft.put("data.time", value, column.reason)
 
 
 def _rate_of_rounded(t: Array, column: ColumnGuess) -> tuple[float, float] | None:
@@ -194,9 +172,6 @@ def _fills(draft: RunFileDraft, log: LogDescription) -> None:
 
 
 # -- repairs ---------------------------------------------------------------------------------------------
-
-_STUCK = re.compile(r"column '([^']*)' stays at its (largest|smallest) value (\S+):")
-
 
 _PROBLEMS = 8
 """Most problems that are solved one after the other."""
@@ -270,19 +245,18 @@ def _read(path: Path, document: Document) -> Run | PigaError:
 
 def _working(path: Path, document: Document, before: Run | PigaError) -> list[Change]:
     """The changes with which the log can be read, or else those that lead to another problem."""
-    changes = _of_error(before, document) if isinstance(before, PigaError) else _of_run(before, document)
-    read, other = [], []
-    unique = {
-        (table, key, toml_value(value)): (table, key, value, why) for table, key, value, why in changes[::-1]
-    }
-    for change in reversed(unique.values()):
-        after = _read(path, _changed(document, change))
-        if isinstance(after, Run):
-            if isinstance(before, PigaError) or _settles(change, before, after):
-                read.append(change)
-        elif isinstance(before, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet":
-            other.append(change)
-    return read or other
+    if isinstance(before, Run):
+        units = [(change, _read(path, _changed(document, change))) for change in _other_units(before, document)]
+        return [change for change, after in units if isinstance(after, Run) and _plausible(after)]
+    changes = {(table, key, toml_value(value)): (table, key, value, why)
+               for table, key, value, why in _of_error(before, document)}  # fmt: skip
+    tried = [(change, _read(path, _changed(document, change))) for change in changes.values()]
+    read = [change for change, after in tried if isinstance(after, Run)]
+    return read or [
+        change
+        for change, after in tried
+        if isinstance(after, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet"
+    ]
 
 
 def _problem(error: PigaError) -> str:
@@ -290,25 +264,10 @@ def _problem(error: PigaError) -> str:
     return error.message.partition("; the columns are")[0]
 
 
-_SETTLED = {
-    "range": "stuck-value",
-    "unit": "implausible-unit",
-    "reference": "implausible-unit",
-    "output": "implausible-unit",
-}
-
-
-def _settles(change: Change, before: Run, after: Run) -> bool:
-    """True if a change of a readable record removes the finding it is for, or states what was guessed."""
-    kind = _SETTLED.get(change[1])
-    kinds = [event.kind for event in after.quality.events]
-    if kind == "implausible-unit" and not _plausible(after):
-        return False
-    return kind not in kinds if kind else after.size >= before.size
-
-
 def _plausible(run: Run) -> bool:
     """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
+    if any(event.kind == "implausible-unit" for event in run.quality.events):
+        return False
     some = slice(0, min(run.size, _ROWS))
     a_x, t = run.f[some, 0], run.t[some]
     if run.kind == "rate":
@@ -349,47 +308,28 @@ def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document
     data = document.get("data", {})
     changes: list[Change] = []
     for key, value in data.items():
-        renamed = _renamed(value, near) if key not in ("file", "missing") else value
-        if renamed != value:
-            reason = ", ".join(
-                f"instead of '{name}', which is not in the file" for name in near if name in toml_value(value)
-            )
-            changes.append(("data", key, renamed, reason))
+        names = [name for name in near if f'"{name}"' in toml_value(value)]
+        if names and key not in ("file", "missing"):
+            text = toml_value(value)
+            for name in names:
+                text = text.replace(f'"{name}"', toml_value(near[name]))
+            reason = ", ".join(f"instead of '{name}', which is not in the file" for name in names)
+            changes.append(("data", key, tomllib.loads(f"value = {text}")["value"], reason))
     return changes
 
 
-def _renamed(value: Any, near: Mapping[str, str]) -> Any:
-    if isinstance(value, str):
-        return near.get(value, value)
-    if isinstance(value, Mapping):
-        return {
-            near.get(key, key): _renamed(part, near) if key in ("column", "columns") else part
-            for key, part in value.items()
-        }
-    return [_renamed(part, near) for part in value] if isinstance(value, list) else value
-
-
-def _of_run(run: Run, document: Document) -> list[Change]:
-    changes: list[Change] = []
-    data = document.get("data", {})
-    for event in run.quality.events:
-        stuck = _STUCK.search(event.detail)
-        if stuck:
-            name, side, value = stuck.groups()
-            limits = [-1e30, float(value)] if side == "largest" else [float(value), 1e30]
-            changes.append(("data", "range", {**data.get("range", {}), name: limits}, event.detail))
-        if event.kind == "phase-lost" and document.get("model", {}).get("phases") != "per-segment":
-            changes.append(("model", "phases", "per-segment", "the zero of the output angle was lost"))
-        if event.kind == "encoding" and "encoding" not in data:
-            changes.append(("data", "encoding", event.detail.split()[-1], "to fix what was detected"))
-        if event.kind == "implausible-unit":
-            key = "reference" if "|f|" in event.detail else "output"
-            table = data.get(key)
-            if isinstance(table, Mapping) and "unit" in table:
-                kind = "rate" if table.get("kind") == "rate" else "angle"
-                units = UNITS["force" if key == "reference" else kind]
-                others = (unit for unit in units if unit != table["unit"])
-                changes += [("data", key, {**table, "unit": unit}, event.detail) for unit in others]
+def _other_units(run: Run, document: Document) -> list[Change]:
+    """Other units of the output and of the reference, where one of them is implausible."""
+    events = [event for event in run.quality.events if event.kind == "implausible-unit"]
+    data, changes = document.get("data", {}), list[Change]()
+    for event in events:
+        key = "reference" if "|f|" in event.detail else "output"
+        table = data.get(key)
+        if isinstance(table, Mapping) and "unit" in table:
+            units = UNITS["force" if key == "reference" else "rate" if table.get("kind") == "rate" else "angle"]
+            changes += [
+                ("data", key, {**table, "unit": unit}, event.detail) for unit in units if unit != table["unit"]
+            ]
     return changes
 
 

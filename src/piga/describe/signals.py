@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.describe.columns import TOLD, WORDS, ColumnGuess, Values
+from piga.describe.columns import TOLD, ColumnGuess
 from piga.describe.draft import HEIGHT, RunFileDraft, number_in
 from piga.describe.log import Guess, LogDescription
-from piga.errors import ArgumentError, UnitError
+from piga.errors import UnitError
 from piga.reading.checks import positions
 from piga.results import Array
 from piga.stand.scenario import head_positions
@@ -50,7 +50,6 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     if not outputs:
         return None
     column = outputs[0]
-    others = [f"  or: column {other.name} ({WORDS[other.kind]})" for other in outputs[1:]]
     value: dict[str, Any] = {"column": column.name, "kind": column.kind}
     reasons = [column.reason]
     x = log.numbers.get(column.name, np.empty(0))
@@ -61,12 +60,7 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     elif column.kind == "counts":
         bits = _counter_bits(x)
         if bits is not None:
-            draft.put(
-                "instrument.counter_bits",
-                bits[0],
-                bits[1],
-                "  or: leave it out, if the counter was reset there",
-            )
+            draft.put("instrument.counter_bits", *bits, "  or: leave it out, if the counter was reset there")
     elif column.kind == "direct":
         value |= {"kind": "rate", "unit": column.unit}
         draft.put("instrument.kind", "direct", f"{column.name} is in {column.unit}: no gimbal")
@@ -76,7 +70,7 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
         if fold is not None:
             value["wraps_at"] = fold[0]
             reasons.append(fold[1])
-    draft.put("data.output", value, *reasons, *others)
+    draft.put("data.output", value, *reasons)
     return column
 
 
@@ -243,17 +237,9 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
 
 def _counts_of(draft: RunFileDraft, slope: float) -> None:
     """Counts per revolution from the slope of the counts and the nominal scale factor."""
-    try:
-        scale = to_si(draft.document["instrument"]["scale_factor"], "rad/s/g", what="instrument.scale_factor")
-    except UnitError as error:
-        raise ArgumentError(
-            error.message, remedy="e.g. --set instrument.scale_factor='0.8884 rad/s/g'"
-        ) from None
+    scale = to_si(draft.document["instrument"]["scale_factor"], "rad/s/g", what="instrument.scale_factor")
     if scale <= 0.0:
-        raise ArgumentError(
-            "instrument.scale_factor: must be positive",
-            remedy="use a positive value; where the output falls with the force, change its sign in the log",
-        )
+        return  # the reader of the run file says it
     value = 2.0 * math.pi * slope / scale
     near = min(_USUAL_COUNTS, key=lambda usual: abs(math.log(usual / value)))
     if abs(near / value - 1.0) <= _ROUND_COUNTS:
@@ -310,13 +296,10 @@ def put_reference(
     group = triad(log.of("force"))
     if group:
         names = [column.name for column in group]
-        others = [f"  or: {other}" for other in group[0].alternatives]
+        checks: list[str] = []
         if output is not None and output.name in log.numbers:
-            names, why = _from_input_axis(draft, log, output, names)
-            others = [*why, *others]
-        more = [one.name for one in log.of("force") if one not in group]
-        others += [f"  or: column {name}" for name in more]
-        draft.put("data.reference", {"columns": names, "unit": group[0].unit}, group[0].reason, *others)
+            names, checks = _from_input_axis(draft, log, output, names)
+        draft.put("data.reference", {"columns": names, "unit": group[0].unit}, group[0].reason, *checks)
         if "base_rate" not in draft.document["data"] and not _direct(draft):
             draft.comments["data.reference"].append(EARTH)
         return
@@ -358,12 +341,7 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
             )
             return [(str(k + 1), float(np.nanmean(x[start:stop]))) for k, (start, stop) in enumerate(spans)]
         if not names:
-            if not Values.of(x).stepped:
-                return None
-            change = np.flatnonzero(np.diff(x) != 0) + 1
-            names = [f"{value:.12g}" for value in x[np.r_[0, change]]]
-            why = f"no column numbers the positions; {column.name} holds its value in each"
-            draft.put("data.segment", column.name, why)
+            return None
     parts = np.split(x, change)
     return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
 
