@@ -32,11 +32,7 @@ LEVELS = ("1 g", "2 g", "3 g", "4 g", "5 g", "6 g", "8 g", "10 g")
 HEAD = {"kind": "dividing-head", "latitude": "40 deg", "height": "0 m", "azimuth": "90 deg"}
 ARM = {"kind": "centrifuge", "latitude": "40 deg", "height": "0 m", "radius": "1 m", "levels": list(LEVELS)}
 STATED = {"gravity": "0.1 ug", "levelling": "0.1 arcsec", "angle_error": "0.1 arcsec"}
-RATES = (2.0, 6.0, 4.0, -4.0, -6.0, -2.0)
-"""Rates of a rate table [deg/s]."""
 OTHERS = ("reference_misalignment", "timing", "vibration", "settling")
-
-LOGGED = {"reference_scale": "0.1 ppm", "waived": dict.fromkeys((*OTHERS[:3], "reference_bias"), "none here")}
 
 
 @dataclass(frozen=True)
@@ -121,21 +117,6 @@ def there_and_back(seed: int, lag: float) -> piga.Run:
     return measured_by(run, Fault(turn=np.repeat([lag, -lag], len(there))), seed)
 
 
-def table(seed: int, fault: Fault) -> piga.Run:
-    """A rate table with a horizontal axis along Z0, its reference from a log; all of its sources are stated or waived."""
-    inside = np.arange(0.0, DWELL + 0.5 * STEP, STEP)
-    angle = np.outer(np.radians(RATES), inside)
-    f = G0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.shape)], axis=2)
-    base = np.zeros(f.shape)
-    base[:, :, 2] = np.radians(RATES)[:, None]
-    t = np.add.outer((DWELL + MOVE) * np.arange(len(RATES)), inside).ravel()
-    run = piga.Run.from_arrays(
-        t, np.zeros(t.size), f.reshape(-1, 3), scale_factor="0.8884 rad/s/g", base_rate=base.reshape(-1, 3),
-        segment=np.repeat(np.arange(len(RATES)), inside.size), uncertainty=LOGGED, units="SI",
-    )  # fmt: skip
-    return measured_by(run, fault, seed)
-
-
 def without_site(run: piga.Run) -> piga.Run:
     """The record with its reference logged, and no base rate."""
     stated = UncertaintyTable(reference_scale="0.1 ppm", waived=dict.fromkeys(OTHERS[:3], "none here"))
@@ -217,9 +198,6 @@ CASES: dict[str, tuple[Callable[[int], Any], Said]] = {
     "lag of 20 arcsec, head turned there and back": (lambda seed: there_and_back(seed, ANGLE), doubted("scatter")),
     "servo of 2 to 6.6 µg/g³, not named, centrifuge alone": (
         lambda seed: arm(seed, Fault(servo=spread(seed, 2e-6, 6.6e-6) / G0**2)), doubted("servo"),
-    ),
-    "servo of 2 to 6.6 µg/g³, not named, rate table alone": (
-        lambda seed: table(seed, Fault(servo=spread(seed, 2e-6, 6.6e-6) / G0**2)), doubted("servo"),
     ),
     "counts per turn ten times too large": (lambda seed: head(seed, Fault(counts=0.1)), doubted("counts_per_", "nominal")),
     "head and centrifuge, 20 arcsec on the head": (

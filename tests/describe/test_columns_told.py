@@ -12,7 +12,6 @@ import pytest
 
 import piga
 from piga.describe import describe_log, draft_run_file, try_run_file
-from piga.earth import Site
 from piga.errors import ArgumentError
 from tests.cli.runner import invoked
 
@@ -166,17 +165,6 @@ def test_an_output_in_another_unit_beside_the_stand_is_that_of_a_direct_instrume
     assert float(value) == pytest.approx(DIRECT[unit], rel=2e-3)
     assert written == f"{unit}/g"
     assert draft.document["model"]["terms"] == ["scale_factor", "k0", "m_Y"]
-
-
-@pytest.mark.long
-def test_a_direct_instrument_calibrates_from_its_drafted_file(tmp_path: Path) -> None:
-    settings = {"stand.latitude": "48 deg", "stand.height": "0 m"}
-    draft = draft_run_file(describe_log(direct_log(tmp_path, "mA")), settings)
-    result = piga.calibrate(try_run_file(draft, tmp_path / "run.toml"))
-    per_g = 9.80665 / Site(np.radians(48.0)).local_gravity
-    for name, true in (("scale_factor", 1.3 * per_g), ("k0", 2e-3 / per_g)):
-        assert abs(result[name].value - true) < 2.0 * result[name].expanded
-        assert result[name].std < 1e-4 * true
 
 
 def test_an_output_that_could_be_one_of_two_is_asked_for(tmp_path: Path) -> None:

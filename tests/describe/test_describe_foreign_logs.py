@@ -34,23 +34,6 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(run.f / 9.80665, truth["f"][used], atol=3e-8)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["fill.csv", "words.csv"])
-def test_the_coefficients_are_the_true_ones(tmp_path: Path, name: str) -> None:
-    """The simulated base is at rest, so the rotation of the Earth is waived."""
-    draft, _ = drafted(tmp_path, name)
-    draft.document["uncertainty"] = {
-        "waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}
-    }
-    result = piga.calibrate(try_run_file(draft, tmp_path / "run.toml"))
-    assert set(foreign.TRUTH) <= set(result)
-    for term, value in foreign.TRUTH.items():
-        assert abs(result[term].value - value) < 2.5 * result[term].expanded, (
-            term
-        )  # six positions: few degrees of freedom
-        assert result[term].std < 0.02 * abs(value)
-
-
 def test_times_without_decimals_give_the_rate_of_the_samples(tmp_path: Path) -> None:
     path = tmp_path / "rounded.csv"
     foreign.text(path, f"{foreign.NAMES},position", [

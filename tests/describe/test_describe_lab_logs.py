@@ -94,14 +94,6 @@ def test_the_speed_of_a_centrifuge_gives_the_reference(tmp_path: Path) -> None:
     assert run.f[:, 0].max() == pytest.approx((120.0 * 2.0 * np.pi / 60.0) ** 2, rel=1e-3)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["german.csv", "chinese.csv", "folded.tsv", "centrifuge.csv"])
-def test_it_calibrates(tmp_path: Path, name: str) -> None:
-    _, run = drafted(tmp_path, name)
-    result = piga.calibrate(run)
-    assert abs(result["scale_factor"].value / 0.8884 - 1.0) < 5e-4
-
-
 def test_counts_of_a_revolution_from_the_log(tmp_path: Path) -> None:
     """The log of LabVIEW does not say them: output over specific force and the nominal scale factor do."""
     path, _ = drafted(tmp_path, "labview.lvm")

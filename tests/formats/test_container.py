@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import h5py
@@ -169,16 +168,6 @@ def test_a_column_standing_or_lying(tmp_path: Path, shape: tuple[int, ...], matl
     np.testing.assert_array_equal(direct(tmp_path / "a.h5", ("n",)).numbers["n"], np.arange(700.0))
 
 
-def test_units_row_and_blank_rows_of_a_sheet(tmp_path: Path) -> None:
-    book = openpyxl.Workbook()
-    for row in ([], ["t", "n [1]"], ["s", None], [0.0, 1], [], [0.1, 2]):
-        book.active.append(row)
-    book.save(tmp_path / "a.xlsx")
-    table = CONTAINERS[".xlsx"](tmp_path / "a.xlsx", ("t", "n"), None)
-    assert table.units == {"t": "s", "n": "1"}
-    assert whole(table).rows.tolist() == [4, 6]
-
-
 def test_cells_of_a_sheet(tmp_path: Path) -> None:
     """What is read is what was in the cells: numbers, labels, missing ones and where they stood."""
     book = openpyxl.Workbook()
@@ -209,17 +198,6 @@ def test_old_spreadsheets_and_open_ones(tmp_path: Path) -> None:
     (tmp_path / "~$run.xlsx").write_bytes(b"x")
     with pytest.raises(piga.DataError, match="open in a spreadsheet"):
         piga.read_run(write_run(tmp_path, "run.xlsx"))
-
-
-@pytest.mark.parametrize(("suffix", "extra"), [("h5", "hdf5"), ("tdms", "tdms"), ("xlsx", "xlsx")])
-def test_a_missing_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, extra: str
-) -> None:
-    module = {"h5": "h5py", "tdms": "nptdms", "xlsx": "openpyxl"}[suffix]
-    monkeypatch.setitem(sys.modules, module, None)
-    (tmp_path / f"run.{suffix}").write_bytes(b"x")
-    with pytest.raises(piga.DataError, match=rf"(?s)needs the extra '{extra}'.*pip install 'piga\[{extra}\]'"):
-        direct(tmp_path / f"run.{suffix}")
 
 
 def test_text_of_matlab_v73(tmp_path: Path) -> None:

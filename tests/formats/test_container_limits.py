@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import h5py
 import numpy as np
 import openpyxl
 import pyarrow as pa
@@ -63,50 +62,6 @@ def test_containers_without_a_row(tmp_path: Path, name: str) -> None:
         CONTAINERS[Path(name).suffix](tmp_path / name, NAMES, None)
 
 
-def test_a_counter_beyond_what_a_float_counts(tmp_path: Path) -> None:
-    data = columns()
-    data["n"] = data["n"].astype(np.uint64) + np.uint64(2**63)
-    write_h5(tmp_path / "run.h5", data)
-    with pytest.raises(piga.DataError, match=r"row 1, column 'n': 9\.2233\d+e\+18 is not a whole count"):
-        piga.read_run(write_run(tmp_path, "run.h5"))
-
-
-def test_hdf5_structs_and_units(tmp_path: Path) -> None:
-    path = tmp_path / "run.h5"
-    with h5py.File(path, "w") as out:
-        table = np.zeros(4, dtype=[("t", "f8"), ("n", "i8")])
-        table["n"] = [0, 3, 5, 9]
-        out["log"] = table
-        out["deep/fx"] = np.ones(4)
-        out["deep/fx"].attrs["units"] = "g"
-        out["deep/soft"] = h5py.SoftLink("/deep/fx")
-    result = CONTAINERS[".h5"](path, ("log/n", "deep/fx"), None)
-    np.testing.assert_array_equal(whole(result).numbers["log/n"], [0, 3, 5, 9])
-    assert result.units == {"deep/fx": "g"}
-    for wrong in ("log/speed", "log/n/more", "log", "deep"):
-        with pytest.raises(piga.DataError, match=r"no column .*log/t, log/n") as caught:
-            CONTAINERS[".h5"](path, (wrong,), None)
-        assert "soft" not in str(caught.value).split("the columns are")[1]
-
-
-def test_matlab_fields_and_labels(tmp_path: Path) -> None:
-    path = tmp_path / "run.mat"
-    cells = np.empty(3, dtype=object)
-    cells[:] = ["up", "down", 7.0]
-    words = np.array(["aa", "bb", "cc"])
-    savemat(path, {"log": {"t": np.arange(3.0)}, "place": cells, "word": words, "z": 1j * np.arange(3.0)})
-    with pytest.raises(piga.DataError, match="column 'z' holds complex128"):
-        whole(CONTAINERS[".mat"](path, ("log.t", "z"), None))
-    with pytest.raises(piga.DataError, match=r"no column 'log.speed'"):
-        CONTAINERS[".mat"](path, ("log.speed",), None)
-    with pytest.raises(piga.DataError, match=r"no column 'place.t.t'|no column 'log.t.t'"):
-        CONTAINERS[".mat"](path, ("log.t.t",), None)
-    codes, names = whole(CONTAINERS[".mat"](path, ("log.t",), "place")).label
-    assert [names[code] for code in codes] == ["up", "down", "7"]
-    codes, names = whole(CONTAINERS[".mat"](path, ("log.t",), "word")).label
-    assert [names[code] for code in codes] == ["aa", "bb", "cc"]
-
-
 def test_tdms_labels_and_channels_of_one_name(tmp_path: Path) -> None:
     path = tmp_path / "run.tdms"
     with TdmsWriter(path) as out:
@@ -133,3 +88,49 @@ def test_sheets_without_names_or_rows(tmp_path: Path) -> None:
         book.save(path)
         with pytest.raises(piga.DataError, match=message):
             CONTAINERS[".xlsx"](path, NAMES, None)
+
+
+ROWS = 300
+VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS)) + 0.5
+
+
+def read_mat(path: Path, numeric: tuple[str, ...], label: str | None = None) -> dict[str, np.ndarray]:
+    return whole(CONTAINERS[".mat"](path, numeric, label)).numbers
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("shape", [(ROWS, 1), (1, ROWS), (ROWS // 3, 3), (1, 1)])
+def test_columns_are_those_that_were_written(tmp_path: Path, packed: bool, shape: tuple[int, int]) -> None:
+    values = VALUES[: shape[0] * shape[1]].reshape(shape)
+    savemat(tmp_path / "a.mat", {"other": VALUES, "x": values}, do_compression=packed)
+    columns = {"x(:,1)": values[:, 0], f"x(:,{shape[1]})": values[:, -1]}
+    columns |= {"x": values.reshape(-1)} if 1 in shape else {}
+    for name, values_of in columns.items():
+        np.testing.assert_array_equal(read_mat(tmp_path / "a.mat", (name,))[name], values_of)
+    if 1 not in shape:
+        with pytest.raises(piga.DataError, match="a column is needed"):
+            read_mat(tmp_path / "a.mat", ("x",))
+
+
+def test_fields_of_structs(tmp_path: Path) -> None:
+    log = {"t": VALUES, "inner": {"n": np.arange(ROWS), "words": "text"}, "f": np.outer(VALUES, [1.0, 2.0])}
+    savemat(tmp_path / "a.mat", {"first": VALUES, "log": log})
+    columns = read_mat(tmp_path / "a.mat", ("log.t", "log.inner.n", "log.f(:,2)"))
+    np.testing.assert_array_equal(columns["log.t"], VALUES)
+    np.testing.assert_array_equal(columns["log.inner.n"], np.arange(ROWS))
+    np.testing.assert_array_equal(columns["log.f(:,2)"], 2.0 * VALUES)
+    for name in ("log", "log.speed", "log.inner.words", "log.t.n", "first.t", "log.f(:,3)", "log.f(:,0)"):
+        with pytest.raises(piga.DataError):
+            read_mat(tmp_path / "a.mat", (name,))
+
+
+def test_declared_sizes_beyond_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    savemat(path, {"x": VALUES.reshape(-1, 1)})
+    written = path.read_bytes()
+    at = written.index(struct.pack("<II", 9, 8 * ROWS))
+    for rows in (1 << 28, ROWS + 1):
+        longer = written[:at] + struct.pack("<II", 9, 8 * rows & 0xFFFFFFFF) + written[at + 8 :]
+        path.write_bytes(longer.replace(struct.pack("<ii", ROWS, 1), struct.pack("<ii", rows, 1)))
+        with pytest.raises(piga.DataError):
+            CONTAINERS[".mat"](path, ("x",), None)

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import piga
 from piga.formats.container import CONTAINERS
@@ -27,9 +25,6 @@ NAMES = ("t", "n", "fx", "fy", "fz")
 
 
 LOG = ("t,n,fx,fy,fz\n" + "\n".join(lines(8)) + "\n").encode()
-
-
-QUICK = settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
 
 
 PIECES = [b",", b";", b"\n", b"\r", b"\0", b'"', b"\t", b"nan", b"inf", b"1e999", b"-", b"\xef\xbb\xbf", b"\xff\xfe",
@@ -66,21 +61,6 @@ def mutated(source: bytes, draw: random.Random) -> bytes:
         else:
             data[at:at] = data[at : at + draw.randint(1, 40)]
     return bytes(data)
-
-
-@settings(QUICK, max_examples=250 * SCALE)
-@given(
-    st.lists(st.tuples(st.integers(0, len(LOG)), st.sampled_from(PIECES)), max_size=6), st.binary(max_size=20)
-)
-def test_text_of_pieces(
-    tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, bytes]], tail: bytes
-) -> None:
-    path = _folder(tmp_path_factory) / "log.csv"
-    data = bytearray(LOG)
-    for at, piece in edits:
-        data[at:at] = piece
-    path.write_bytes(bytes(data) + tail)
-    outcome(lambda: list(TextStream(path, NAMES, None).chunks()))
 
 
 @pytest.mark.parametrize("mask", [False, True])
@@ -121,12 +101,6 @@ def test_mutated_containers(tmp_path: Path, name: str) -> None:
         for _ in range(70 * SCALE):
             path.write_bytes(mutated(source, draw))
             outcome(lambda: CONTAINERS[path.suffix](path, NAMES, None))
-
-
-def _folder(factory: pytest.TempPathFactory) -> Path:
-    folder = factory.getbasetemp() / "fuzz"
-    folder.mkdir(exist_ok=True)
-    return folder
 
 
 FOLDER = Path(__file__).parent / "findings"

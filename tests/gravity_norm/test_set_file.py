@@ -64,14 +64,6 @@ def test_calibrate_writes_page_and_json(folder, capsys):
     assert json.loads(out)["terms"] == document["terms"]
 
 
-def test_four_columns(folder):
-    text = (folder / "set.toml").read_text().replace('"z"]', '"z", "w"]')
-    (folder / "four.toml").write_text(text)
-    cal = calibrate_set_file(folder / "four.toml")
-    assert cal.matrix.shape == (4, 3)
-    assert cal.matrix[3] == pytest.approx(0.5 * cal.matrix[:3].sum(axis=0), rel=1e-2)
-
-
 def test_refusals(folder, capsys):
     assert is_set_file(folder / "set.toml")
     code, _, err = outcome(capsys, "calibrate", folder / "set.toml", "--terms", "k0")

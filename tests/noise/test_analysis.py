@@ -8,7 +8,6 @@ import pytest
 import piga
 from piga.errors import ArgumentError, DataError
 from piga.noise import read_static_log
-from piga.noise.analysis import level_unit
 from piga.reports.noise import noise_document
 
 STEP = 0.2
@@ -115,9 +114,3 @@ def test_what_is_refused(tmp_path, record):
     with pytest.raises(DataError, match="no column holds the time"):
         read_static_log(tmp_path / "two.csv", column="U")
     assert read_static_log(tmp_path / "two.csv", column="U", sample_rate="5 Hz").samples == 6000
-
-
-def test_units_of_levels():
-    """Dimensions: quantisation is an integral of the rate, the drift a change of it in a second."""
-    assert [level_unit("quantisation", unit) for unit in ("V", "1", "arcsec/s")] == ["V s", "s", "arcsec"]
-    assert [level_unit("rate_random_walk", unit) for unit in ("V", "arcsec/s")] == ["V/sqrt(s)", "arcsec/s^1.5"]

@@ -48,19 +48,6 @@ def test_degrees_of_freedom_as_allantools(m: int, exponent: int, kind: str):
     assert equivalent_degrees(1001, m, ((exponent, 1.0),), kind) == pytest.approx(reference, rel=0.012)
 
 
-@pytest.mark.parametrize("kind", ORDER)
-def test_degrees_of_freedom_are_those_of_the_scatter(kind: str):
-    """Variance of the variance over many records of white noise of the rate, from its definition: 2/edf."""
-    rng, m = np.random.default_rng(8), 20
-    x = np.cumsum(rng.standard_normal((2000, 301)), axis=1)
-    t, begins = one_stretch(301)
-    squares = [
-        allan_deviation(one, t, begins, noise=NOISE, kind=kind, factors=[m]).deviation[0] ** 2 for one in x
-    ]
-    degrees = 2.0 * np.mean(squares) ** 2 / np.var(squares)
-    assert equivalent_degrees(301, m, ((0, 1.0),), kind) == pytest.approx(degrees, rel=0.1)
-
-
 def test_band_as_allantools():
     """68 % band of chi-square with these degrees of freedom."""
     x = angle(np.random.default_rng(2), 1001, 1e-10, 0.0)

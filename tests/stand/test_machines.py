@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -110,10 +109,3 @@ def test_bad_parts() -> None:
         Composite((SHORT_HEAD,), pause=0.0)
     with pytest.raises(ArgumentError, match="2 rows of three finite numbers"):
         LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.full((2, 3), np.nan))
-
-
-def test_text_in_a_profile(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("t,x,y,z\n0,one,0,0\n5,two,0,0\n")
-    with pytest.raises(DataError, match=r"row 2, column 'x' \(B\): 'one' is not a number"):
-        read_profile(path, ColumnTable("t", "s"), Columns(("x", "y", "z"), "g"))

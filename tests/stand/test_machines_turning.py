@@ -17,7 +17,6 @@ from piga.stand import (
     RateTable,
     SpinPlan,
     force_change,
-    sample_stand,
 )
 from piga.stand.machines import angles_of_range, rates_for_levels
 from piga.stand.profile import NONE
@@ -41,18 +40,6 @@ def test_positions_are_those_of_a_recorded_tumble_test(position, force, rate):
     assert omega[0] == pytest.approx(rate, abs=1e-13)
 
 
-def test_positions_and_moves_alternate():
-    segments = HEAD.segments()
-    assert [s.label for s in segments[:3]] == ["0", "move to 1", "1"]
-    assert sum(s.recorded for s in segments) == 24
-    assert segments[-1].stop == 24 * 60 + 23 * 30
-    profile = sample_stand(HEAD, 0.5)
-    rows = profile.recorded
-    assert rows.sum() == 24 * 121
-    assert profile.t[rows][120] == 60.0
-    assert profile.t[rows][121] == 90.0
-
-
 def test_moves_turn_the_base_by_what_they_say():
     """The recorded base rate along Z0 integrates to the angle that the specific force shows."""
     t = np.arange(59.0, 92.0, 1e-3)
@@ -70,18 +57,6 @@ def test_roll_turns_the_transverse_axes():
     plain_f, plain_omega = HEAD.motion(np.array([100.0]), NONE)
     assert f[0] == pytest.approx([plain_f[0, 0], 0.0, -plain_f[0, 1]], abs=1e-12)
     assert omega[0] == pytest.approx([plain_omega[0, 0], plain_omega[0, 2], -plain_omega[0, 1]], abs=1e-18)
-
-
-def test_gravity_and_earth_rate_keep_their_size_and_angle():
-    for azimuth in (0.0, 0.7):
-        f, omega = replace(HEAD, azimuth=azimuth, roll=0.3).motion(
-            np.arange(24) * 90.0 + 1.0, Imperfections(levelling=(0.01, -0.02))
-        )
-        assert np.linalg.norm(f, axis=1) == pytest.approx(9.80166, abs=1e-12)
-        assert np.linalg.norm(omega, axis=1) == pytest.approx(EARTH_RATE, rel=1e-12)
-        assert (f * omega).sum(axis=1) == pytest.approx(
-            9.80166 * EARTH_RATE * math.sin(math.radians(40)), rel=1e-9
-        )
 
 
 @pytest.mark.parametrize(
@@ -211,17 +186,6 @@ def test_rate_table_turns_gravity_or_not():
     assert arm[:, 0] == pytest.approx(-0.2)
     with pytest.raises(ArgumentError, match="is not a base axis"):
         RateTable(SITE, SPIN, along="X1")
-
-
-@pytest.mark.parametrize("along", ["X0", "Y0", "Z0", "-X0", "-Y0", "-Z0"])
-def test_mounting_keeps_handedness(along):
-    f, omega = RateTable(SITE, SPIN, along=along, offset=0.3).motion(np.array([2.5]), NONE)
-    plain, plain_omega = RateTable(SITE, SPIN, along="Z0", offset=0.3).motion(np.array([2.5]), NONE)
-    assert np.linalg.norm(np.cross(f[0], omega[0])) == pytest.approx(
-        np.linalg.norm(np.cross(plain[0], plain_omega[0]))
-    )
-    axis, sign = "XYZ".index(along[-2]), -1 if along[0] == "-" else 1
-    assert omega[0, axis] * sign == pytest.approx(plain_omega[0, 2])
 
 
 def test_an_error_of_gravity_is_felt_along_the_vertical():

@@ -65,17 +65,6 @@ def test_vibration_table_adds_motion_to_gravity():
     assert np.abs(rocking).max() == pytest.approx(9.80166e-5, rel=1e-3)
 
 
-def test_motion_at_other_times_is_computed_anew():
-    """A table keeps its last motion; it must not answer for other times with it, nor for other imperfections."""
-    drives = (Drive("random", 2.0, frequency=5.0, last_frequency=20.0, amplitude=3.0, taper=0.1),)
-    table, t = VibrationTable(SITE, drives), np.linspace(0.2, 1.0, 50)
-    first = table.motion(t, NONE)[0].copy()
-    for times in (t, t + 0.3, t):
-        fresh = VibrationTable(SITE, drives).motion(times, NONE)[0]
-        np.testing.assert_array_equal(table.motion(times, NONE)[0], fresh)
-    assert np.ptp(table.motion(t + 0.3, NONE)[0] - first) > 0.1
-
-
 def test_bad_drives_are_refused():
     with pytest.raises(ArgumentError, match="does not fit twice"):
         Drive("sine", 0.5, 1.0)

@@ -182,14 +182,3 @@ def test_numbers_of_a_log_do_not_match_some_of_the_positions_by_chance() -> None
     assert len(planned) == 2
     with pytest.raises(ArgumentError, match="2 positions or levels, the record has 1 segments"):
         plan_times(SHORT_HEAD, None, (planned[0],), np.zeros(3), np.zeros(3, dtype=np.int32))
-
-
-def test_a_stand_without_a_kind_is_named_in_words(tmp_path: Path) -> None:
-    path = copy_example(tmp_path)
-    path.write_text(path.read_text().split("[stand]")[0] + '\n[stand]\nlatitude = "40 deg"\n')
-    text = "\n".join(line for line in path.read_text().splitlines() if not line.startswith("reference ="))
-    path.write_text(text)
-    with pytest.raises(
-        piga.PigaError, match=r"\[stand\] lacks the key 'kind'\n  remedy: add it; see piga check --expl"
-    ):
-        piga.read_run(path)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError, RunFileError
-from piga.platform.scenario import load_scenario
 from piga.stand import (
     read_scenario,
 )
@@ -65,21 +64,6 @@ def test_profile_and_composite_from_a_scenario(tmp_path: Path) -> None:
     assert not rate.any()
 
 
-def test_removed_earth_tide_names_the_uncertainty_instead(tmp_path: Path) -> None:
-    text = SCENARIO + "[run]\nearth_tide = { start = 2026-11-21T08:00:00Z }\n"
-    with pytest.raises(
-        RunFileError, match=r"(?s)earth_tide is not simulated any more.*\[uncertainty\] gravity"
-    ):
-        read_scenario(written(tmp_path, text))
-
-
-def test_temperature_table(tmp_path: Path) -> None:
-    text = SCENARIO + '[temperature]\nstart = "25 degC"\ndrift = "1 K/h"\nswing = "0.5 K"\nperiod = "2 h"\n'
-    result = read_scenario(written(tmp_path, text)).temperature
-    assert (result.start, result.swing, result.period) == (298.15, 0.5, 7200.0)
-    assert result.drift == pytest.approx(1.0 / 3600.0)
-
-
 @pytest.mark.parametrize(
     ("noise", "words"),
     [
@@ -92,14 +76,3 @@ def test_levels_of_coloured_noise_that_cannot_be(tmp_path: Path, noise: str, wor
     """The message names the key of the scenario file in its own unit."""
     with pytest.raises((ArgumentError, RunFileError), match=words):
         read_scenario(written(tmp_path, f"{SCENARIO}\n[noise]\n{noise}\n"))
-
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-
-
-@pytest.mark.interpreted
-def test_scenario_paths_as_text() -> None:
-    assert read_scenario(str(EXAMPLES / "dividing-head.toml")).path == EXAMPLES / "dividing-head.toml"
-    assert load_scenario(str(EXAMPLES / "platform-moving.toml")) == load_scenario(
-        EXAMPLES / "platform-moving.toml"
-    )

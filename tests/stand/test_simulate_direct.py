@@ -81,11 +81,3 @@ def test_output_is_the_polynomial_of_the_force() -> None:
 def test_what_belongs_to_a_gimbal_is_refused(changes: tuple[tuple[str, str], ...], words: str) -> None:
     with pytest.raises(piga.PigaError, match=words):
         run_scenario(read_scenario(EXAMPLE, content=changed(*changes)))
-
-
-def test_the_page_shows_no_gimbal(tmp_path: Path) -> None:
-    run_scenario(read_scenario(EXAMPLE)).report(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text().split("plotly.js v")[0]
-    assert "mA" in page
-    for word in ("gimbal", "Gimbal", "rad/s"):
-        assert word not in page

@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 
 from piga.calibration.calibrate import calibrate
-from piga.errors import CalibrationError, PigaError, RunFileError
+from piga.errors import CalibrationError, RunFileError
 from piga.stand import (
     read_scenario,
     run_scenario,
 )
 from piga.stand.write_run import (
-    imperfection_values,
-    log_table,
     run_file_text,
     truth_document,
     truth_text,
@@ -103,23 +101,6 @@ def test_given_servo_goes_into_the_run_file(tmp_path):
     }
 
 
-def test_faults_of_a_given_servo_name_the_scenario_and_the_key(tmp_path):
-    path = written(tmp_path, servo=(INSTRUMENT, INSTRUMENT + SERVO.replace("3000", "-1")))
-    with pytest.raises(RunFileError, match=r"integral_gain: must be positive") as refused:
-        read_scenario(path)
-    assert str(path) in str(refused.value)
-
-
-def test_an_unknown_key_of_a_stand_is_answered_with_the_keys_of_its_kind(tmp_path):
-    text = (EXAMPLES / "rate-table.toml").read_text(encoding="utf-8")
-    path = tmp_path / "s.toml"
-    path.write_text(text.replace('kind = "rate-table"', 'kind = "rate-table"\nmove = "30 s"'), encoding="utf-8")
-    with pytest.raises(RunFileError, match=r"\[stand\] has the unknown key 'move'") as refused:
-        read_scenario(path)
-    assert "'move'?" not in str(refused.value)
-    assert "ramp" in str(refused.value)
-
-
 @pytest.mark.long
 def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     path = written(tmp_path, bits=('serial = "S-1"', 'serial = "S-1"\ncounter_bits = 16'))
@@ -133,16 +114,6 @@ def test_wrapping_counter_loses_its_phase_between_positions(tmp_path):
     assert len(phases) == 6
     for c in phases:
         assert abs(math.remainder(c.value - truth["phi", c.segment], 2 * math.pi)) < 5 * c.std
-
-
-def test_csv_holds_the_same_as_parquet(tmp_path):
-    from pyarrow import csv
-
-    test = run_scenario(read_scenario(written(tmp_path)))
-    write_data(test, tmp_path / "run.csv")
-    table, own = csv.read_csv(tmp_path / "run.csv"), log_table(test)
-    for name in own.column_names:
-        assert np.array_equal(table[name].to_numpy(), own[name].to_numpy())
 
 
 def test_same_seed_same_bytes_other_seed_other_noise(tmp_path):
@@ -181,13 +152,6 @@ def test_negative_beta_turns_the_phase(tmp_path):
     )
 
 
-def test_drawn_imperfections_come_from_the_seed(tmp_path):
-    extra = '\n[imperfections]\nreference_scale = "10 ppm"\n[run]\nimperfections = "drawn"\n'
-    scenario = read_scenario(written(tmp_path, SCENARIO + extra))
-    values = [imperfection_values(scenario.imperfections(seed))[0].value for seed in (1, 1, 2)]
-    assert values[0] == values[1] != values[2]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -210,12 +174,6 @@ def test_scenario_errors_name_file_and_key(tmp_path, old, new, words):
     with pytest.raises(RunFileError, match=words) as caught:
         read_scenario(path)
     assert "scenario.toml" in str(caught.value)
-
-
-def test_errors_while_running_name_the_file(tmp_path):
-    path = written(tmp_path, rate=('sample_rate = "10 Hz"', 'sample_rate = "0.3 Hz"'))
-    with pytest.raises(PigaError, match=r"scenario.toml: segment 'move to 1' lasts"):
-        run_scenario(read_scenario(path))
 
 
 def test_a_log_of_rates_loses_its_phase_between_positions(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from piga.earth import EARTH_RATE, Site
 from piga.errors import ArgumentError
 from piga.frames import axis_turn, rotation_vector_to_matrix
-from piga.records.arrays import BLOCK_ROWS
 from piga.results import Array
 from piga.stand.profile import NONE, Imperfections, Segment, plan, plan_holds
 from piga.units import to_si
@@ -417,13 +416,7 @@ class VibrationTable:
         return plan([(str(k), drive.duration, True) for k, drive in enumerate(self.drives)])
 
     def _drive(self, t: Array) -> tuple[Array, Array, Array]:
-        """Acceleration, its rate of change, and both divided by the drive's amplitude, at ``t``.
-
-        The last result is kept: the imperfections of a budget are all asked for at the same times.
-        """
-        last = self.__dict__.get("_held")
-        if last is not None and np.array_equal(last[0], t):
-            return last[1]
+        """Acceleration, its rate of change, and the drive's amplitude, at ``t``."""
         starts = np.array([s.start for s in self.segments()])
         index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, starts.size - 1)
         wave, wave_rate, peak = np.zeros(t.size), np.zeros(t.size), np.ones(t.size)
@@ -431,8 +424,6 @@ class VibrationTable:
             rows = index == k
             wave[rows], wave_rate[rows] = drive.acceleration(np.clip(t[rows] - starts[k], 0.0, drive.duration))
             peak[rows] = drive.amplitude or 1.0
-        if t.size <= 2 * BLOCK_ROWS:
-            self.__dict__["_held"] = (t.copy(), (wave, wave_rate, peak))
         return wave, wave_rate, peak
 
     def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import piga
@@ -84,25 +83,3 @@ def test_encodings_by_the_wanted_names(tmp_path: Path, name: str, encoding: str)
     assert run.size == 40
     assert events(run) == {"encoding": 1}
     assert run.quality.events[0].detail == f"read as {encoding}"
-
-
-def test_a_misread_name_says_how_it_was_read(tmp_path: Path) -> None:
-    text = "\n".join([HEADER.replace("n", "Größe"), *body(), ""])
-    (tmp_path / "run.csv").write_bytes(text.encode("cp1252"))
-    with pytest.raises(
-        piga.DataError, match=r"row 1: no column 'n'(?s:.*)read as gb18030: add \[data\] encoding"
-    ):
-        piga.read_run(write_run(tmp_path))
-
-
-def test_separators_at_the_end_of_rows(tmp_path: Path) -> None:
-    run = read(tmp_path, "\n".join([HEADER, *(f"{row};" for row in body()), ""]))
-    assert run.size == 40
-    np.testing.assert_allclose(run.t[:2], [0.0, 0.05])
-
-
-def test_only_for_text(tmp_path: Path) -> None:
-    (tmp_path / "run.parquet").write_bytes(b"")
-    for key in ("skip_rows = 1", "header_row = 2", "units_row = 2"):
-        with pytest.raises(piga.DataError, match="is for text files"):
-            piga.read_run(write_run(tmp_path, "run.parquet", data=key))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -121,22 +120,3 @@ def test_a_comma_in_a_cell_of_a_file_with_points(tmp_path: Path) -> None:
     text = (HEADER + ROWS).decode().replace(",", ";").replace("1018;", "1,018;", 1)
     with pytest.raises(piga.DataError, match=r"row 4, column 'n' \(B\): '1,018'(?s:.*)is ',' a decimal mark"):
         read(tmp_path, text.encode(), data="decimal = '.'")
-
-
-def test_of_more_than_a_hundred_faults_the_first_twenty_are_listed(tmp_path: Path) -> None:
-    bad = "".join(f"{i / 20.0},{i},x,0.1,0.0\n" for i in range(130)).encode()
-    with pytest.raises(piga.DataError, match=r"row 21, column 'fx'.*; and more") as caught:
-        read(tmp_path, HEADER + bad)
-    assert "row 22, column" not in str(caught.value)
-    masked = read(
-        tmp_path, HEADER + bad + ROWS.replace(b"0.0000,0,", b"9.0000,0,"), data="damaged_rows = 'mask'"
-    )
-    assert events(masked)["not-a-number"] == 130
-
-
-def test_an_open_quote_above_three_million_short_lines_is_refused_at_once(tmp_path: Path) -> None:
-    """Processor time, since other programs run: 15 s when every short line was collected."""
-    began = time.process_time()
-    with pytest.raises(piga.PigaError, match="row 3: a quotation mark is not closed; row 4 has 2 cells"):
-        read(tmp_path, HEADER + b'0,0,1,0,0\n1,"0,1,0,0\n' + 3_000_000 * b"1,2\n")
-    assert time.process_time() - began < 4.0
