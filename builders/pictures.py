@@ -169,8 +169,7 @@ def twin() -> None:
     from piga.stand.write_run import run_file_text, write_data
 
     example = PRESETS["example"]
-    for figure in (stand.bode_figure(example), stand.step_figure(example), stand.pole_figure(example)):
-        save(replace(figure, key=f"twin-{figure.key}"))
+    save(replace(stand.bode_figure(example), key="twin-loop-bode"))
     p, t = replace(example, alpha0=0.7), np.arange(1000) * 2e-4
     runs = {
         name: run_twin(p, t, np.tile([G0, 0.5 * G0, 0.0], (t.size, 1)), start=name)
