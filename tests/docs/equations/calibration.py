@@ -82,9 +82,10 @@ def _added_variable() -> Iterator[Pair]:
     fall, estimate = (rest @ e) ** 2 / (rest @ rest), (rest @ e) / (rest @ rest)
     rows = np.column_stack([X, x, y])
     pieces = [np.linalg.qr(rows[at : at + 12], mode="r") for at in range(0, 60, 12)]
-    candidates = tested(pieces, ["k2"], ("k2",), 60)
+    m = X.shape[1]
+    candidates = tested(np.array(pieces), range(m), [m], ("k2",), 60, 1.0)
     yield fall / (e @ e), candidates.fall, 1e-12
-    yield estimate, candidates.columns[0], 1e-12
+    yield estimate, candidates.size[0], 1e-12
 
 
 @equation("calibration-leverage")

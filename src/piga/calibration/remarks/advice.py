@@ -12,7 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise, permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -54,12 +56,17 @@ _PLACES = ("first", "second", "third")
 
 
 @dataclass(frozen=True)
-class _AdviceReading:
-    """Another reading of the data: axis of the record behind each base axis, signs, divisor of the output."""
+class _Reading:
+    """A reading of the data: axis of the record behind each base axis, signs, divisor of the output.
+
+    ``residual`` is that of its fit, ``scale`` its scale factor over the nominal one.
+    """
 
     axes: tuple[int, int, int] = (0, 1, 2)
     signs: tuple[int, int, int] = (1, 1, 1)
     output: float = 1.0
+    residual: float = math.inf
+    scale: float = 1.0
 
     @property
     def changes(self) -> int:
@@ -67,44 +74,33 @@ class _AdviceReading:
         moved = sum(axis != place for place, axis in enumerate(self.axes))
         return 2 * moved + 3 * self.signs.count(-1) + (2 if self.output != 1.0 else 0)
 
-    @property
-    def negative(self) -> list[str]:
-        """Names of the axes whose sign is changed."""
-        return [AXES[place] for place, sign in enumerate(self.signs) if sign < 0]
-
-    def words(self) -> str:
-        """Error in the data if this reading is right."""
-        parts = []
+    def errors(self, run: Run) -> list[tuple[str, str]]:
+        """Errors in the data if this reading is right, each with the change to the run file or the data."""
+        found = []
         swapped = [AXES[place] for place, axis in enumerate(self.axes) if axis != place]
-        if len(swapped) == 2:
-            parts.append(f"{swapped[0]} and {swapped[1]} swapped")
-        elif swapped:
-            parts.append(f"X0, Y0, Z0 taken from {', '.join(AXES[axis] for axis in self.axes)}")
-        if self.negative:
-            parts.append(f"{' and '.join(self.negative)} negative")
-        if self.output < 0.0:
-            parts.append("the output negative")
-        elif self.output > 1.0:
-            parts.append(f"the output divided by {self.output:.6g}")
-        elif self.output < 1.0:
-            parts.append(f"the output multiplied by {1.0 / self.output:.6g}")
-        return " and ".join(parts) or "the data as they are"
-
-    def remedy(self, run: Run) -> str:
-        """Change to the run file or the data if this reading is right."""
-        parts = []
-        if self.axes != (0, 1, 2):
+        if swapped:
+            taken = f"X0, Y0, Z0 taken from {', '.join(AXES[axis] for axis in self.axes)}"
             order = ", ".join(_PLACES[axis] for axis in self.axes)
-            parts.append(f"in [data] reference list the columns in the order {order}")
-        if self.negative:
-            parts.append(f"change the sign of {' and '.join(self.negative)} in the data file")
-        if self.output < 0.0:
-            parts.append("change the sign of the output in the data file")
-        elif self.output != 1.0:
-            parts.append(
-                f"in {_output_unit(run, max(self.output, 1.0 / self.output), larger=self.output < 1.0)}"
+            found.append(
+                (
+                    f"{swapped[0]} and {swapped[1]} swapped" if len(swapped) == 2 else taken,
+                    f"in [data] reference list the columns in the order {order}",
+                )
             )
-        return " and ".join(parts)
+        negative = " and ".join(AXES[place] for place, sign in enumerate(self.signs) if sign < 0)
+        for name in (negative, "the output" if self.output < 0.0 else ""):
+            if name:
+                change = f"change the sign of {name} in the data file"
+                found.append((f"{name} negative", change))
+        if self.output > 0.0 and self.output != 1.0:
+            size, larger = max(self.output, 1.0 / self.output), self.output < 1.0
+            words = f"the output {'multiplied' if larger else 'divided'} by {size:.6g}"
+            found.append((words, f"in {_output_unit(run, size, larger=larger)}"))
+        return found
+
+    def words(self, run: Run) -> str:
+        """Errors in the data if this reading is right."""
+        return " and ".join(error for error, _ in self.errors(run)) or "the data as they are"
 
 
 _OF_COUNTS = (4.0, 10.0)
@@ -117,24 +113,6 @@ def _factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
     factors = [factor for factor in UNIT_FACTORS if counted or factor.value != 10.0]
     near = min(factors, key=lambda factor: abs(ratio / factor.value - 1.0))
     return near if abs(ratio / near.value - 1.0) < _SNAP else None
-
-
-def _better_words(ratio: float, reading: _AdviceReading, alike: list[_AdviceReading], run: Run) -> str:
-    """Advice for a reading that fits far better; ``alike`` are readings that the record cannot separate from it."""
-    others = "; ".join(other.words() for other in alike)
-    equal = f" (this record cannot tell it from: {others})" if others else ""
-    times = f"{float(f'{ratio:.1g}'):.0f}"
-    return (
-        f"the data fit {times} times better with {reading.words()}{equal}: {reading.remedy(run)}; not applied"
-    )
-
-
-def _sign_words(*, output: bool) -> str:
-    """Advice for a negative scale factor; ``output``: the sign of the output may be wrong."""
-    what = "X0 of the reference or the output has" if output else "X0 of the reference has"
-    return (
-        f"the scale factor comes out negative: {what} the wrong sign; change it in the data file; not applied"
-    )
 
 
 def _unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> str:
@@ -175,15 +153,6 @@ def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> st
     return f"[data] {key} unit = {right} where it says {wrong}"
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A reading with the residual of its fit and its scale factor over the nominal one."""
-
-    reading: _AdviceReading
-    residual: float
-    scale: float
-
-
 def looks_wrong(result: Calibration) -> bool:
     """True if other readings should be tried for a finished calibration.
 
@@ -212,20 +181,23 @@ def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str,
     tuple of str
         At most one sentence on axes, signs and the output, and one on a unit.
     """
-    trials = [t for t in _trials(run, request) if math.isfinite(t.residual)]
-    plain = next((t for t in trials if t.reading == _AdviceReading()), None)
+    readings = [one for one in _readings(run, request) if math.isfinite(one.residual)]
+    plain = next((one for one in readings if not one.changes), None)
     if plain is None:
         return ()
-    likely = [t for t in trials if t is plain or _likely(abs(t.scale))]
-    least = min(t.residual for t in likely)
+    likely = [one for one in readings if one is plain or _likely(abs(one.scale))]
+    least = min(one.residual for one in likely)
     if plain.residual <= _FAR_BETTER * least:
-        return () if scale is not None and _likely(scale) else _scale_words(plain, trials, run)
-    near = [t for t in likely if t.residual <= _AS_GOOD * least]
-    upright = [t for t in near if t.scale > 0.0] or near
-    best, *others = sorted(upright, key=lambda t: (t.reading.changes, t.residual))
-    alike = [t.reading for t in others[:_MOST_ALIKE]]
-    words = _better_words(plain.residual / best.residual, best.reading, alike, run)
-    return (words, *_scale_words(best, trials, run))
+        return () if scale is not None and _likely(scale) else _scale_words(plain, readings, run)
+    near = [one for one in likely if one.residual <= _AS_GOOD * least]
+    upright = [one for one in near if one.scale > 0.0] or near
+    best, *others = sorted(upright, key=lambda one: (one.changes, one.residual))
+    alike = "; ".join(other.words(run) for other in others[:_MOST_ALIKE])
+    equal = f" (this record cannot tell it from: {alike})" if alike else ""
+    times = f"{float(f'{plain.residual / best.residual:.1g}'):.0f}"
+    remedy = " and ".join(change for _, change in best.errors(run))
+    words = f"the data fit {times} times better with {best.words(run)}{equal}: {remedy}; not applied"
+    return (words, *_scale_words(best, readings, run))
 
 
 def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
@@ -235,52 +207,46 @@ def with_advice(error: PigaError, words: tuple[str, ...]) -> PigaError:
     return error
 
 
-def _scale_words(trial: Trial, trials: list[Trial], run: Run) -> tuple[str, ...]:
+def _scale_words(reading: _Reading, readings: list[_Reading], run: Run) -> tuple[str, ...]:
     """Advice for a scale factor that is negative or off by the factor of a unit."""
-    as_good = [t.reading.output for t in trials if t.residual <= _AS_GOOD * trial.residual]
-    sentences = (_sign_words(output=-1.0 in as_good),) if trial.scale < 0.0 else ()
-    ratio = abs(trial.scale)
+    as_good = [one.output for one in readings if one.residual <= _AS_GOOD * reading.residual]
+    sentences: tuple[str, ...] = ()
+    if reading.scale < 0.0:
+        what = "X0 of the reference or the output has" if -1.0 in as_good else "X0 of the reference has"
+        sentences = (
+            f"the scale factor comes out negative: {what} the wrong sign; change it in the data file; not applied",
+        )
+    ratio = abs(reading.scale)
     factor = _factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
     if factor is None:
         return sentences
     return (*sentences, _unit_words(ratio, factor, run, output=any(abs(output) != 1.0 for output in as_good)))
 
 
-def _trials(run: Run, request: Request) -> Iterator[Trial]:
+def _readings(run: Run, request: Request) -> Iterator[_Reading]:
     """Fits of all permutations and of the factors that their scale factors suggest."""
-    sample, base = _sample_of(run, request), _AdviceReading()
-    plain = _fit(sample, base)
-    for x, y, z in permutations(range(3)):
-        for second, third in product((1, -1), repeat=2):
-            reading = _AdviceReading((x, y, z), (1, second, third))
-            trial = plain if reading == base else _fit(sample, reading)
-            if trial.scale < 0.0 and reading != base:
-                turned = replace(reading, signs=(-1, second, third))
-                trial = replace(trial, reading=turned, scale=-trial.scale)
-            yield trial
-    yield _fit(sample, replace(base, output=-1.0))
-    for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
-        for known in (factor.value, 1.0 / factor.value):
-            if abs(abs(plain.scale) / known - 1.0) < _SNAP:
-                yield _fit(sample, replace(base, output=known))
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Windows of a record as a record of its own, the request for it, and the phase angle of its samples [rad]."""
-
-    run: Run
-    request: Request
-    phase: Array
-
-
-def _sample_of(run: Run, request: Request) -> Sample:
-    """Windows spread over the record. Samples are skipped while the output turns little."""
     request = replace(
         request,
         phase_source="output",
         terms=("scale_factor", *(n for n in request.terms if n not in ("scale_factor", "k1", *SERVO_TERMS))),
     )
+    fitted = partial(_fitted, *_windows(run, request), request)
+    plain = fitted(_Reading())
+    for axes in permutations(range(3)):
+        for second, third in product((1, -1), repeat=2):
+            reading = fitted(_Reading((axes[0], axes[1], axes[2]), (1, second, third)))
+            if reading.scale < 0.0 and reading.changes:
+                reading = replace(reading, signs=(-1, second, third), scale=-reading.scale)
+            yield reading
+    yield fitted(_Reading(output=-1.0))
+    for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
+        for known in (factor.value, 1.0 / factor.value):
+            if abs(abs(plain.scale) / known - 1.0) < _SNAP:
+                yield fitted(_Reading(output=known))
+
+
+def _windows(run: Run, request: Request) -> tuple[Run, Array]:
+    """Windows spread over the record, and their phase angle [rad]. Samples are skipped while the output turns little."""
     phase = phase_angle(run, request, run.scale_factor)
     ends = np.arange(1, run.size, max(1, run.size // _STEPS))
     ends = ends[~run.begins[ends]]
@@ -302,32 +268,20 @@ def _sample_of(run: Run, request: Request) -> Sample:
                 rows.append(part)
                 begins.append(np.arange(part.size) == 0)
     index = np.concatenate(rows)
-    thin = replace(
-        run,
-        t=np.ascontiguousarray(run.t[index]),
-        output=np.ascontiguousarray(run.output[index]),
-        f=np.ascontiguousarray(run.f[index]),
-        base_rate=None if run.base_rate is None else np.ascontiguousarray(run.base_rate[index]),
-        temperature=None if run.temperature is None else np.ascontiguousarray(run.temperature[index]),
-        vibration=None if run.vibration is None else np.ascontiguousarray(run.vibration[index]),
-        segment_index=run.segment_index[index],
-        begins=np.concatenate(begins),
-        row=run.row[index],
-        left_out=None,
-        servo=(),
-    )
-    return Sample(thin, request, np.ascontiguousarray(phase[index]))
+    held = {name: values for name, values in vars(run).items() if isinstance(values, np.ndarray)}
+    taken: dict[str, Any] = {name: np.ascontiguousarray(values[index]) for name, values in held.items()}
+    taken |= {"begins": np.concatenate(begins), "left_out": None, "servo": ()}
+    return replace(run, **taken), np.ascontiguousarray(phase[index])
 
 
-def _fit(sample: Sample, reading: _AdviceReading) -> Trial:
-    """Root-mean-square residual of the angle for a reading; with one phase per segment if the request has it."""
-    run, request = sample.run, sample.request
+def _fitted(run: Run, phase: Array, request: Request, reading: _Reading) -> _Reading:
+    """The reading with its root-mean-square residual of the angle; with one phase per segment if the request has it."""
     f = np.ascontiguousarray(run.f[:, list(reading.axes)] * np.array(reading.signs, dtype=float))
     try:
         design = Design(replace(run, f=f, output=run.output / reading.output), request, run.scale_factor)
     except DataError:
-        return Trial(reading, math.inf, 1.0)
-    design.phase_angle = sample.phase / reading.output
+        return reading
+    design.phase_angle = phase / reading.output
     blocks = list(design.blocks())
     free = len(design.local_names) if request.phases != "shared" else 0
     parts = [
@@ -338,7 +292,7 @@ def _fit(sample: Sample, reading: _AdviceReading) -> Trial:
     linear = least_squares(rows[:-1].T, rows[-1], 1e-10)
     miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(rows.shape[1])
     scale = float(linear[design.names.index("scale_factor") - free]) / run.scale_factor
-    return Trial(reading, abs(reading.output) * miss, scale)
+    return replace(reading, residual=abs(reading.output) * miss, scale=scale)
 
 
 def _angles(columns: Array, h: Array, point: bool) -> Array:

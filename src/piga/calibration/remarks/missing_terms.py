@@ -9,7 +9,7 @@ the noise, and against the scatter between segments. Errors of single positions 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,7 +24,7 @@ from piga.calibration.sources import across_squared
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.coefficient import Coefficient, changes, coverage_factor
 from piga.records.calibration.diagnostics import MissingTerm
 from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
@@ -33,7 +33,6 @@ from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
 Names = tuple[str, ...]
 Squares = tuple[float | None, float | None]
-
 
 _FALSE_ALARMS = 0.002
 """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
@@ -54,11 +53,12 @@ _PIECES = 24
 """Parts of a record of few segments, for the scatter between parts."""
 _SPARE = 3
 """Segments beyond the number of parameters above which the scatter between segments is used."""
+_FEWEST = 4
+"""Fewest degrees of freedom of this scatter."""
 _CONSTANT = 1e-3
 """Largest relative change of a squared force that counts as constant."""
 _FORCE_SAMPLES = 4096
 """Samples used for this."""
-
 
 CUBIC = ("servo", "k3", "k2o")
 """Terms that take up an odd signature of a_x, most plausible first."""
@@ -66,22 +66,25 @@ _PAIRS = (("tan_beta", ("p", "q")), ("s1", ("s1", "c1")), ("s2", ("s2", "c2")))
 """Candidates that turn with the output: their term and columns."""
 
 
-def _candidate_terms(fit: JointFit, squares: Squares) -> list[tuple[str, ...]]:
+def _candidate_terms(fit: JointFit, squares: Squares) -> list[Names]:
     """Columns of every candidate that is missing in the model and that the runs can determine.
 
     A gyro accelerometer has no known cause of ``k1a``: ask for it by name. Candidates that turn with the output are skipped
-    unless the zero of its angle is known in all segments.
+    unless the zero of its angle is known in all segments. Left out is what the runs cannot separate from the servo terms of
+    the model, and servo terms that they cannot determine.
     """
-    terms, direct = fit.wish.terms, fit.summaries[0].unit != GYRO
-    left_out = set(terms) | ({"k1"} if "scale_factor" in terms else set())
-    left_out |= _servo_out_of_reach(fit, squares) | (set() if direct else {"k1a"})
-    candidates: list[tuple[str, ...]] = [
-        (name,) for name in ERROR_TERMS if name not in left_out and _is_shown(fit, name)
-    ]
-    if direct:
-        return candidates
+    (total, across), terms, direct = squares, fit.wish.terms, fit.summaries[0].unit != GYRO
+    scaled = "scale_factor" in terms or "k1" in terms
+    known = {name for summary in fit.summaries for name, _ in summary.known_servo}
+    skipped = {*terms} | ({"k1"} if scaled else set()) | (set() if direct else {"k1a"})
+    skipped |= ({*terms} | known) & {*SERVO_TERMS} if "tan_beta" in terms else {*SERVO_TERMS}
+    if scaled and (across is not None or (total is not None and "k3" in terms)):
+        skipped.add("servo")
+    if scaled and total is not None and "servo" in terms:
+        skipped.add("k3")
+    candidates: list[Names] = [(name,) for name in ERROR_TERMS if name not in skipped and _is_shown(fit, name)]
     one_phase = len(fit.live) == 1 and fit.summaries[0].phases == "shared"
-    if one_phase or "tan_beta" in terms:
+    if not direct and (one_phase or "tan_beta" in terms):
         candidates += [
             columns
             for name, columns in _PAIRS
@@ -96,23 +99,9 @@ def _is_shown(fit: JointFit, name: str) -> bool:
     return all(
         name not in LOGGED_TERMS or live.run.shows(name)
         if live
-        else set(columns) <= set(summary.positions[0].part.names)
+        else {*columns} <= {*summary.positions[0].part.names}
         for live, summary in zip(fit.live, fit.summaries, strict=True)
     )
-
-
-def _servo_out_of_reach(fit: JointFit, squares: Squares) -> set[str]:
-    """Terms that the runs cannot separate from the servo terms of the model, and servo terms that they cannot determine."""
-    terms, (total, across) = fit.wish.terms, squares
-    scaled = "scale_factor" in terms or "k1" in terms
-    known = (name for summary in fit.summaries for name, _ in summary.known_servo)
-    names = {*terms, *known} & set(SERVO_TERMS) if "tan_beta" in terms else set(SERVO_TERMS)
-    if scaled and total is not None:
-        names |= {"k3"} if "servo" in terms else set()
-        names |= {"servo"} if "k3" in terms else set()
-    if scaled and across is not None:
-        names |= {"servo"}
-    return names
 
 
 def constant_squares(run: Run) -> Squares:
@@ -128,11 +117,10 @@ def constant_squares(run: Run) -> Squares:
 def _stored_squares(summary: RunSummary) -> Squares:
     """The same from the columns ``a_x``, ``a_x (u_t/K)^2`` and ``a_x^3`` of a summary; None without them."""
     wanted = ("scale_factor", STIFFNESS_COLUMNS[0], "k3")
-    if not set(wanted) <= set(summary.positions[0].part.names):
+    if not {*wanted} <= {*summary.positions[0].part.names}:
         return None, None
-    along, across, cube = np.vstack(
-        [position.part.select(wanted).factor[:, :3] for position in summary.positions]
-    ).T
+    rows = [position.part.select(wanted).factor[:, :3] for position in summary.positions]
+    along, across, cube = np.vstack(rows).T
     squares: list[float | None] = []
     for column in (across + cube, across):
         square = float(along @ column / max(float(along @ along), 1e-300))
@@ -152,17 +140,15 @@ def _common(values: Sequence[float | None]) -> float | None:
 class CandidateTest:
     """A candidate (one column, or a pair that turns with the output) against the model.
 
-    ``columns`` are its column coefficients with ``std`` by the noise and ``spread`` by the scatter between the parts of
-    the record. ``freedom`` is the number of degrees of freedom of the scatter. ``fall`` is the relative decrease of the
-    sum of squares. ``probability`` is that of such a decrease by chance (the larger of both tests). ``change`` is the
-    change of the parameters when the candidate is added.
+    ``size`` are its coefficients with ``std`` by the noise, and ``spread`` by the scatter between the parts of the record (with
+    Student's factor for few parts). ``fall`` is the relative decrease of the sum of squares. ``probability`` is that of such a
+    decrease by chance (the larger of both tests). ``change`` is the change of the parameters when the candidate is added.
     """
 
     names: Names
-    columns: Array
+    size: Array
     std: Array
     spread: Array
-    freedom: int
     fall: float
     probability: float
     change: Array
@@ -189,16 +175,21 @@ class Candidates:
 
     @cached_property
     def terms(self) -> list[Names]:
-        """Columns of every candidate for a suggestion."""
-        return _candidate_terms(self.fit, self.squares)
+        """Columns of every candidate for a suggestion; none where the phase comes from the input."""
+        by_input = any(live and live.request.phase_source != "output" for live in self.fit.live)
+        return [] if by_input else _candidate_terms(self.fit, self.squares)
+
+    @cached_property
+    def held(self) -> set[str]:
+        """Terms of the model, and those of the servo that the runs give."""
+        return {*self.fit.wish.terms, *(name for one in self.fit.summaries for name, _ in one.known_servo)}
 
     @cached_property
     def order(self) -> list[str]:
         """Names of the columns: candidates for a suggestion, and signatures of the servo."""
-        fit, names = self.fit, [name for names in self.terms for name in names]
-        held = {*fit.wish.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
-        more = ("k3", "servo_damping") if "p" in fit.local else ("k3",)
-        return names + [name for name in more if name not in {*names, *held} and _is_shown(fit, name)]
+        names = [name for names in self.terms for name in names]
+        more = ("k3", "servo_damping") if "p" in self.fit.local else ("k3",)
+        return names + [n for n in more if n not in {*names} | self.held and _is_shown(self.fit, n)]
 
     @cached_property
     def common(self) -> list[int]:
@@ -213,14 +204,13 @@ class Candidates:
         return tuple(_wide(self.fit, index, self.order) for index in range(len(self.fit.live)))
 
     @cached_property
-    def pieces(self) -> tuple[list[Array], int]:
-        """Factors ``[parameters | candidates | residual]`` of the parts of the records, and the number of rows."""
+    def pieces(self) -> Array:
+        """Factors ``[parameters | candidates | residual]`` of the parts of the records."""
         fit, estimate, layout = self.fit, self.fit.estimate, self.fit.layout
-        state, summaries = fit.servo, self.summaries
+        state, at, pieces = fit.servo, self.common, []
         if state is None and layout.coupled:
             state = ServoState(tuple(estimate.phases.tolist()), stiffness=0.0, damping=0.0, inverse=0.0)
-        parts = replace(fit, summaries=summaries).repetitions(state, (RATE, *self.order))
-        at, pieces = self.common, []
+        parts = replace(fit, summaries=self.summaries).repetitions(state, (RATE, *self.order))
         for part in parts:
             local = layout.coupled and layout.size + part.group not in at
             rows = parameter_rows(layout, estimate, part, at, local=local)
@@ -229,23 +219,41 @@ class Candidates:
             phase = float(estimate.phases[part.group]) if estimate.phases.size else 0.0
             piece[:, len(at) : -1] = piece[:, len(at) : -1] @ _turn(phase, self.order)
             pieces.append(piece)
-        return pieces, sum(summary.count for summary in summaries)
+        return np.array(pieces)
 
-    def refit(self, names: Names) -> JointFit | None:
-        """The fit with more terms; None if the records cannot separate them."""
+    def test(self, names: Names, beside: Names = ()) -> CandidateTest | None:
+        """Test of the columns of a candidate, with the model and the columns ``beside`` fitted; sizes in SI."""
+        m, rows = len(self.common), sum(summary.count for summary in self.summaries)
+        base, at = ([m + self.order.index(name) for name in own] for own in (beside, names))
+        unit = self.fit.summaries[0].inner_scale_factor
+        return tested(self.pieces, [*range(m), *base], at, names, rows, unit)
+
+    def refit(self, names: Names) -> dict[str, Coefficient] | None:
+        """Coefficients by key of the fit with more terms; None if the records cannot separate them."""
         wish = replace(self.fit.wish, terms=(*self.fit.wish.terms, *names))
         try:
-            return merge_runs(wish, self.summaries, [None] * len(self.fit.live))
+            fit = merge_runs(wish, self.summaries, [None] * len(self.fit.live))
         except (CalibrationError, IdentifiabilityError):
             return None
+        pairs = zip(fit.coefficients, fit.degrees.tolist(), strict=True)
+        return {c.key: replace(c, degrees_of_freedom=own) for c, own in pairs}
 
-    def after(self, change: Array) -> dict[str, float]:
-        """Coefficients (file units) by key after a change of the ``common`` parameters, and of any others."""
+    def moved(self, test: CandidateTest) -> Array:
+        """Change of the coefficients (n,; file units) when a candidate is added."""
         fit = self.fit
         whole = np.zeros(fit.layout.size + fit.estimate.phases.size)
-        whole[self.common] = change[: len(self.common)]
-        moved = fit.moved(whole).tolist()
-        return {c.key: c.value + shift for c, shift in zip(fit.coefficients, moved, strict=True)}
+        whole[self.common] = test.change[: len(self.common)]
+        return fit.moved(whole)
+
+    def under(self, test: CandidateTest, moved: Array) -> dict[str, float]:
+        """K with each meaning of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``; else empty."""
+        pairs = zip(self.fit.coefficients, moved.tolist(), strict=True)
+        square, after = self.squares[0], {c.key: c.value + change for c, change in pairs}
+        if square is None or "scale_factor" not in after or test.names[0] not in CUBIC[:2]:
+            return {}
+        scale, ratio = after["scale_factor"], float(test.size[0]) * square
+        both = (scale, scale * (1.0 - ratio)) if test.names == ("servo",) else (scale * (1.0 + ratio), scale)
+        return dict(zip(CUBIC[:2], both, strict=True))
 
 
 def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
@@ -264,87 +272,6 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     parts = repetitions(design, replace(live.fit.noise, stated=(), counted=()), reduced, positions)
     held = zip(parts, variances[positions.segments].tolist(), strict=True)
     return replace(summary, positions=tuple(replace(part, variance=own) for part, own in held))
-
-
-def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
-    """The few missing terms whose signature is in the residuals, best first; none is added to the model.
-
-    Parameters
-    ----------
-    candidates:
-        Those of the finished fit.
-    coefficients:
-        The result, with combined standard uncertainties.
-    """
-    fit, left = candidates.fit, candidates.terms
-    if any(live and live.request.phase_source != "output" for live in fit.live) or not left:
-        return ()
-    order = candidates.order
-    pieces, rows = candidates.pieces
-    suggestions: list[MissingTerm] = []
-    scale_factor = fit.summaries[0].inner_scale_factor
-    limit = _FALSE_ALARMS / len(left)
-    square = candidates.squares[0]
-    for _ in range(_SUGGESTIONS):
-        tests = [
-            t
-            for names in left
-            if (t := tested(pieces, order, names, rows))
-            and t.probability < (_THERMAL_ALARMS if names == ("k0_T",) else limit)
-        ]
-        shifts = [_largest_shift(candidates, coefficients, t) for t in tests]
-        worth = [
-            (test, shift)
-            for test, shift in zip(tests, shifts, strict=True)
-            if shift[0] > 1.0 or test.fall > _NOTABLE
-        ]
-        if not worth:
-            break
-        best, shift = max(worth, key=lambda item: item[0].fall)
-        if best.names == ("k0_t",):
-            warm = [item for item in worth if item[0].names == ("k0_T",) and item[0].fall > _ALIKE * best.fall]
-            best, shift = (warm or [(best, shift)])[0]
-        best, shift = _servo_first(best, shift, worth, square)
-        alike = [", ".join(terms_of(t.names)) for t in tests if t is not best and t.fall > _ALIKE * best.fall]
-        entry = _suggestion(best, shift, alike, scale_factor)
-        if square is not None and best.names[0] in ("servo", "k3"):
-            under = _both_meanings(best, candidates.after(best.change), square, scale_factor)
-            entry = replace(entry, scale_factor_under=under)
-        suggestions.append(entry)
-        pieces = [with_term(piece, order, best.names) for piece in pieces]
-        order = [name for name in order if name not in best.names]
-        taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
-        left = [names for names in left if names != best.names and names[0] not in taken]
-    return tuple(suggestions)
-
-
-def _servo_first(
-    best: CandidateTest,
-    shift: tuple[float, str],
-    worth: list[tuple[CandidateTest, tuple[float, str]]],
-    square: float | None,
-) -> tuple[CandidateTest, tuple[float, str]]:
-    """The servo's stiffness in place of a cube of a_x with a similar fit, if the record cannot separate them."""
-    if square is None or best.names[0] not in CUBIC:
-        return best, shift
-    servo = [(t, s) for t, s in worth if t.names == ("servo",) and t.fall > _LIKE_A_CUBE * best.fall]
-    return servo[0] if servo else (best, shift)
-
-
-def _both_meanings(
-    test: CandidateTest, after: dict[str, float], square: float, scale_factor: float
-) -> dict[str, float]:
-    """K with each meaning of a cubic signature; they differ by the coefficient times ``a_x^2 + a_t^2``."""
-    size, scale = float(test.columns[0]) / scale_factor * square, after.get("scale_factor")
-    if scale is None:
-        return {}
-    under = (scale, scale * (1.0 - size)) if test.names == ("servo",) else (scale * (1.0 + size), scale)
-    return dict(zip(CUBIC[:2], under, strict=True))
-
-
-def terms_of(names: Names) -> Names:
-    """Terms of the columns of a candidate."""
-    return ("tan_beta",) if names == ("p", "q") else names
 
 
 def _columns_beside(design: Design, extra: Sequence[str]) -> Extra:
@@ -370,101 +297,119 @@ def _turn(phase: float, extra: Sequence[str]) -> Array:
     return matrix
 
 
-def tested(pieces: list[Array], order: list[str], names: Names, rows: int) -> CandidateTest | None:
-    """Test of a candidate; None if it has no independent part."""
-    from scipy.special import fdtrc
+def tested(
+    pieces: Array, base: Sequence[int], at: Sequence[int], names: Names, rows: int, unit: float
+) -> CandidateTest | None:
+    """Test of the columns ``at`` of the pieces beside those of ``base``; None if they have no independent part.
 
-    m, q = pieces[0].shape[1] - len(order) - 1, len(names)
-    chosen = [*range(m), *(m + order.index(name) for name in names), -1]
-    parts = [piece[:, chosen] for piece in pieces]
-    stacked = np.vstack(parts)
-    scale = np.linalg.norm(stacked[:, :-1], axis=0)
-    if not scale.all():
-        return None
-    R: Array = np.asarray(np.linalg.qr(stacked / np.append(scale, 1.0), mode="r"))
-    own = R[m : m + q, m : m + q]
-    if np.linalg.svd(own, compute_uv=False)[-1] < _CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
-        return None
-    z = R[m : m + q, -1]
-    fall, rest = float(z @ z), float(R[m + q, -1] ** 2)
-    freedom = rows - m - q
-    if freedom < 1 or fall + rest == 0.0:
-        return None
-    size = solve_upper(own, z)
-    model = solve_upper(R[:m, :m], R[:m, m : m + q])
-    variance = rest / freedom
-    by_noise = float(fdtrc(q, freedom, fall / q / max(variance, 1e-300)))
-    by_parts, spread, count = _scatter(parts, scale, model, R, size)
-    std = np.sqrt(variance * np.sum(solve_upper(own, np.eye(q)) ** 2, axis=1))
-    change = -(model @ size) / scale[:m]
-    chance = max(by_noise, by_parts)
-    columns, std, spread = size / scale[m:], std / scale[m:], spread / scale[m:]
-    return CandidateTest(names, columns, std, spread, count, fall / (fall + rest), chance, change)
-
-
-def _scatter(parts: list[Array], scale: Array, model: Array, R: Array, size: Array) -> tuple[float, Array, int]:
-    """Probability of the estimate, given the scatter of its score between the parts of the record.
-
-    With it come the standard uncertainties of the estimate by this scatter, and their degrees of freedom.
+    ``unit`` is the value of a column coefficient for a coefficient of one.
     """
     from scipy.special import fdtrc
 
-    m, q = model.shape
-    own = R[m : m + q, m : m + q]
-    fitted = solve_upper(R[: m + q, : m + q], R[: m + q, -1])
-    scatter = np.zeros((q, q))
-    for part in parts:
-        x = part[:, :-1] / scale
-        score = (x[:, m:] - x[:, :m] @ model).T @ (part[:, -1] - x @ fitted)
-        scatter += np.outer(score, score)
-    count = len(parts)
-    freedom = max(count - m - q, 4)
-    information = own.T @ own
-    scatter *= count / freedom
-    weight = information @ size
+    m, q = len(base), len(at)
+    parts = pieces[:, :, [*base, *at, -1]]
+    scale = np.linalg.norm(parts[:, :, :-1], axis=(0, 1))
+    if not scale.all():
+        return None
+    parts = parts / np.append(scale, 1.0)
+    R: Array = np.asarray(np.linalg.qr(parts.reshape(-1, m + q + 1), mode="r"))
+    own, z, rest = R[m : m + q, m : m + q], R[m : m + q, -1], float(R[m + q, -1] ** 2)
+    if np.linalg.svd(own, compute_uv=False)[-1] < _CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
+        return None
+    fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, _FEWEST)
+    if freedom < 1 or fall + rest == 0.0:
+        return None
+    variance, inverse = rest / freedom, solve_upper(own, np.eye(q))
+    size, model = inverse @ z, solve_upper(R[:m, :m], R[:m, m : m + q])
+    fitted = np.append(solve_upper(R[:m, :m], R[:m, -1]) - model @ size, size)
+    beside = parts[:, :, m : m + q] - parts[:, :, :m] @ model
+    score = np.einsum("jkq,jk->jq", beside, parts[:, :, -1] - parts[:, :, :-1] @ fitted)
+    scatter, weight = score.T @ score * len(parts) / few, own.T @ z
     ratio = float(weight @ np.linalg.pinv(scatter) @ weight) / q
-    inverse = np.linalg.inv(information)
-    spread = np.sqrt(np.maximum(np.diag(inverse @ scatter @ inverse), 0.0))
-    return float(fdtrc(q, freedom, ratio)), spread, freedom
+    by_noise = float(fdtrc(q, freedom, fall / q / max(variance, 1e-300)))
+    covariance = inverse @ inverse.T
+    spread = np.sqrt(np.maximum(np.diag(covariance @ scatter @ covariance), 0.0))
+    spread *= coverage_factor(few) / coverage_factor(math.inf)
+    each = scale[m:] * unit
+    return CandidateTest(
+        names,
+        size / each,
+        np.sqrt(variance * np.diag(covariance)) / each,
+        spread / each,
+        fall / (fall + rest),
+        max(by_noise, float(fdtrc(q, few, ratio))),
+        -(model @ size) / scale[:m],
+    )
+
+
+def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...]) -> tuple[MissingTerm, ...]:
+    """The few missing terms whose signature is in the residuals, best first; none is added to the model.
+
+    ``coefficients`` are the result, with combined standard uncertainties.
+    """
+    left, suggestions = candidates.terms, list[MissingTerm]()
+    beside: Names = ()
+    limit = _FALSE_ALARMS / max(len(left), 1)
+    square = candidates.squares[0] if left else None
+    for _ in range(_SUGGESTIONS):
+        found = [test for names in left if (test := candidates.test(names, beside))]
+        tests = [t for t in found if t.probability < (_THERMAL_ALARMS if t.names == ("k0_T",) else limit)]
+        moved = {t.names: candidates.moved(t) for t in tests}
+        shifts = {t.names: _largest_shift(candidates, coefficients, t, moved[t.names]) for t in tests}
+        worth = [t for t in tests if shifts[t.names][0] > 1.0 or t.fall > _NOTABLE]
+        if not worth:
+            break
+        best = max(worth, key=lambda test: test.fall)
+        likelier, share = ("k0_T", _ALIKE) if best.names == ("k0_t",) else ("", 1.0)
+        if square is not None and best.names[0] in CUBIC:
+            likelier, share = "servo", _LIKE_A_CUBE
+        best = next((t for t in worth if t.names == (likelier,) and t.fall > share * best.fall), best)
+        alike = [t for t in tests if t is not best and t.fall > _ALIKE * best.fall]
+        names = tuple(", ".join(_terms_of(t.names)) for t in alike)
+        suggestions.append(
+            _suggestion(best, *shifts[best.names], names, candidates.under(best, moved[best.names]))
+        )
+        beside = (*beside, *best.names)
+        taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
+        left = [names for names in left if names != best.names and names[0] not in taken]
+    return tuple(suggestions)
+
+
+def _terms_of(names: Names) -> Names:
+    """Terms of the columns of a candidate."""
+    return ("tan_beta",) if names == ("p", "q") else names
 
 
 def _largest_shift(
-    candidates: Candidates, coefficients: tuple[Coefficient, ...], test: CandidateTest
+    candidates: Candidates, coefficients: tuple[Coefficient, ...], test: CandidateTest, moved: Array
 ) -> tuple[float, str]:
     """Largest change of a reported coefficient in its standard uncertainties, and its name.
 
     The phase is included if the candidate affects it by nature.
     """
-    after = candidates.after(test.change)
-    left_out = () if test.names == ("servo_damping",) else ("phi",)
-    shifts = [
-        (abs(_difference(c, after[c.key])) / c.std, c.name)
-        for c in coefficients
-        if c.name not in left_out and c.std > 0.0
-    ]
-    return max(shifts, default=(0.0, ""))
+    skipped = () if test.names == ("servo_damping",) else ("phi",)
+    change = changes(coefficients, values_of(coefficients), values_of(candidates.fit.coefficients) + moved)
+    return max(
+        (
+            (abs(size) / c.std, c.name)
+            for c, size in zip(coefficients, change.tolist(), strict=True)
+            if c.name not in skipped and c.std > 0.0
+        ),
+        default=(0.0, ""),
+    )
 
 
-def _difference(coefficient: Coefficient, value: float) -> float:
-    change = value - coefficient.value
-    return math.remainder(change, 2.0 * math.pi) if coefficient.name == "phi" else change
-
-
-def with_term(piece: Array, order: list[str], names: Names) -> Array:
-    """The factor with the columns of a candidate among the parameters."""
-    m = piece.shape[1] - len(order) - 1
-    taken = [m + order.index(name) for name in names]
-    rest = [m + k for k, name in enumerate(order) if name not in names]
-    return piece[:, [*range(m), *taken, *rest, piece.shape[1] - 1]]
+def values_of(coefficients: Iterable[Coefficient]) -> Array:
+    """Values of coefficients (n,)."""
+    return np.array([c.value for c in coefficients])
 
 
 def _suggestion(
-    test: CandidateTest, shift: tuple[float, str], alike: list[str], scale_factor: float
+    test: CandidateTest, shift: float, coefficient: str, alike: Names, under: dict[str, float]
 ) -> MissingTerm:
-    size, std = test.columns / scale_factor, test.std / scale_factor
+    terms, size, std = _terms_of(test.names), test.size, test.std
     if test.names == ("p", "q"):
         size, std = np.array([math.hypot(*size)]), std[:1]
-    terms = terms_of(test.names)
     units = np.array([si_factor(name) for name in terms])
     return MissingTerm(
         terms=terms,
@@ -473,9 +418,10 @@ def _suggestion(
         unit=tuple(unit_of(name) for name in terms),
         chi2_fall=test.fall,
         probability=test.probability,
-        largest_shift=shift[0],
-        coefficient=shift[1],
-        alike=tuple(alike),
+        largest_shift=shift,
+        coefficient=coefficient,
+        alike=alike,
+        scale_factor_under=under,
     )
 
 
@@ -488,34 +434,39 @@ def suggestions_in_words(
     """
     notes = []
     for entry in suggestions:
-        sizes = ", ".join(
-            f"{name} = {value:.3g} +/- {std:.1g}{'' if unit == '1' else f' {unit}'}"
-            for name, value, std, unit in zip(
-                entry.terms, entry.estimate, entry.standard_uncertainty, entry.unit, strict=True
-            )
-        )
-        under = entry.scale_factor_under
-        meaning = (
-            "; no record of this stand can separate servo from k3, because a_x^2 + a_t^2 never changes: "
-            "scale_factor becomes "
-            + " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
-            + f" {unit_of('scale_factor')}, a choice of meaning"
-            + (", and its uncertainty here covers both" if held else "")
-            + "; a servo of finite stiffness has 'servo', and 'servo_damping' with it"
-            if under
-            else ""
-        )
-        alike = f"; {', '.join(entry.alike)} would explain nearly as much" if entry.alike else ""
+        each = zip(entry.terms, entry.estimate, entry.standard_uncertainty, entry.unit, strict=True)
+        sizes = ", ".join(size_in_words(*own) for own in each)
+        meaning = f"; {', '.join(entry.alike)} would explain nearly as much" if entry.alike else ""
+        if entry.scale_factor_under:
+            meaning += f"; {either_in_words(entry.scale_factor_under, held=held)}"
         if turned and entry.terms == ("servo_damping",):
             meaning += "; the uncertainties cover this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
             f"{_two_digits(100.0 * entry.chi2_fall)} % and move {entry.coefficient} by {_two_digits(entry.largest_shift)} "
-            f"standard uncertainties{alike}{meaning}; not applied: add it to [model] terms if it makes sense"
+            f"standard uncertainties{meaning}; not applied: add it to [model] terms if it makes sense"
         )
     return tuple(notes)
+
+
+def size_in_words(name: str, value: float, std: float, unit: str) -> str:
+    """A size with its standard uncertainty."""
+    return f"{name} = {value:.3g} +/- {std:.1g} {unit}".removesuffix(" 1")
 
 
 def _two_digits(value: float) -> str:
     """Two digits without a power of ten: 0.93, 12, 340."""
     return f"{value:.2g}" if abs(value) < 99.5 else f"{float(f'{value:.2g}'):.0f}"
+
+
+def either_in_words(under: dict[str, float], *, held: bool) -> str:
+    """Both meanings of a cube; ``held``: the uncertainty of K covers both."""
+    named = " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
+    ppm = 1e6 * (under["servo"] / under["k3"] - 1.0)
+    return (
+        "a_x^2 + a_t^2 never changes here, so no record of this stand can separate servo from k3: scale_factor is "
+        f"{named} {unit_of('scale_factor')} ({ppm:+.3g} ppm), a choice of meaning"
+        + (", and its uncertainty covers both" if held else "")
+        + "; every servo has a finite stiffness ('servo', and 'servo_damping' with it), and a run on a centrifuge, "
+        "calibrated together with this one, or [instrument] servo decides"
+    )
