@@ -1,4 +1,4 @@
-"""What is left: lagged products, and what whole counts leave in the whitened residuals, told from what a model misses."""
+"""What is left: what whole counts leave in the whitened residuals, told from what a model misses."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from benchmarks.scatter_rule import record as simulated
 import piga
 from piga.calibration.residuals import (
     DRAWS,
-    LAG_PART,
     LAGS,
-    add_lagged_products,
     counting_probability,
     with_slow_counts,
 )
@@ -83,14 +81,6 @@ def test_the_probability_is_even_where_counting_is_all() -> None:
     assert np.mean(result < 0.5) == pytest.approx(0.5, abs=0.08)
     assert counting_probability((lambda: products(0.02),)) < 1e-6
     assert np.isnan(counting_probability((lambda: products(0.0), lambda: None)))
-
-
-@pytest.mark.interpreted
-def test_lagged_products() -> None:
-    x = np.random.default_rng(9).standard_normal(2 * LAG_PART + 2)
-    out = np.zeros(4)
-    add_lagged_products(x, out)
-    np.testing.assert_allclose(out, [x[k:] @ x[: x.size - k] for k in range(4)], rtol=1e-12, atol=1e-10)
 
 
 def whole_counts(angles: tuple[float, ...], rate: float) -> piga.Run:

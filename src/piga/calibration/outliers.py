@@ -323,15 +323,15 @@ def leave_out(run: Run, misses: Misses, flags: Flags, *, free: bool) -> tuple[Ru
     good, starts = np.flatnonzero(~left_out), np.flatnonzero(begins & left_out)
     later = np.searchsorted(good, starts)
     begins[good[later[later < good.size]]] = True
-    outliers, counts, at_gap = _findings(run, flags, wrong)
-    count = int(left_out.sum())
+    found, count = list(_findings(run, flags, wrong)), int(left_out.sum())
     quality = replace(
         run.quality,
         used=run.quality.used - count,
         masked=run.quality.masked + count,
-        events=(*run.quality.events, *_events(outliers, counts, at_gap, run.direct)),
+        events=(*run.quality.events, *_events(found, run.direct)),
     )
-    return replace(run, output=run.output - wrong, begins=begins, left_out=left_out, quality=quality), outliers
+    cleaned = replace(run, output=run.output - wrong, begins=begins, left_out=left_out, quality=quality)
+    return cleaned, tuple(outlier for outlier, _ in found[:_LISTED])
 
 
 def errors_of_readings(d: Array, begins: NDArray[np.bool_], flags: Flags, anew: NDArray[np.int64]) -> Array:
@@ -363,85 +363,59 @@ def errors_of_readings(d: Array, begins: NDArray[np.bool_], flags: Flags, anew: 
     return wrong
 
 
-def _findings(
-    run: Run, flags: Flags, wrong: Array
-) -> tuple[tuple[Outlier, ...], dict[str, int], tuple[Outlier, ...]]:
-    """Runs of bad samples and jumps in order of time (at most ``_LISTED``), and the number of jumps and samples by kind.
+def _findings(run: Run, flags: Flags, wrong: Array) -> Iterator[tuple[Outlier, bool]]:
+    """Runs of bad samples, and jumps, in order of time.
 
-    The last result lists the runs at a gap, with readings on its other side. A slip of the counter looks the same.
+    True beside a spike at a gap, with readings on its other side: a slip of the counter looks the same.
     """
-    outliers: list[Outlier] = []
-    at_gap: list[Outlier] = []
-    counts: dict[str, int] = {}
-    for start, stop in _runs(flags):
-        kind, size = _judge(run, flags, wrong, start, stop)
-        if kind == "jump" and size == 0.0:
-            continue
-        counts[kind] = counts.get(kind, 0) + (1 if kind == "jump" else stop - start)
-        if len(outliers) < _LISTED:
-            samples = 0 if kind == "jump" else stop - start
-            outliers.append(Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size))
-            ends, starts = stop < flags.size and run.begins[stop], start > 0 and run.begins[start]
-            if kind == "spike" and (ends or starts):
-                at_gap.append(outliers[-1])
-    return tuple(outliers), counts, tuple(at_gap)
-
-
-def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """First row and end row of every run of bad samples and of every jump."""
     edges = np.append(np.flatnonzero((np.diff(flags, prepend=np.int8(0)) != 0) | (flags == 2)), flags.size)
     for start, stop in pairwise(edges.tolist()):
-        if flags[start]:
-            yield start, stop
+        if flags[start] == 0:
+            continue
+        first, near = max(start - 1, 0), max(start - 1000, 0)
+        kind, samples, at_gap = "spike", stop - start, False
+        size = float(np.abs(wrong[start:stop] - wrong[first]).max())
+        if flags[start] == 2:
+            good = near + np.flatnonzero(flags[near:start] != 1)
+            size = float(abs(wrong[start] - (wrong[good[-1]] if good.size else 0.0)))
+            kind, samples = "jump", 0
+            if size == 0.0:
+                continue
+        elif samples >= _STUCK and (np.diff(run.output[first:stop]) == 0.0).mean() > 0.5:
+            kind = "stuck"
+        else:
+            at_gap = bool(stop < flags.size and run.begins[stop]) or bool(start > 0 and run.begins[start])
+        yield Outlier(kind, float(run.t[start]), int(run.row[start]), samples, size), at_gap
 
 
-def _judge(run: Run, flags: Flags, wrong: Array, start: int, stop: int) -> tuple[str, float]:
-    """Kind of a run of bad samples or of a jump, and its size [rad, rad/s]."""
-    if flags[start] == 2:
-        good = np.flatnonzero(flags[max(0, start - 1000) : start] != 1)
-        before = float(wrong[max(0, start - 1000) + good[-1]]) if good.size else 0.0
-        return "jump", float(abs(wrong[start] - before))
-    size = float(np.abs(wrong[start:stop] - wrong[max(start - 1, 0)]).max())
-    if stop - start < _STUCK:
-        return "spike", size
-    still = float((np.diff(run.output[max(start - 1, 0) : stop]) == 0.0).mean())
-    return "stuck" if still > 0.5 else "spike", size
-
-
+_OTHER_PHASE = "the phase after it is another one: phases = 'per-segment' shows it"
 _WORDS = {
     "spike": "samples off the path of the output are left out",
     "stuck": "samples during which the output stood still are left out",
-    "jump": "no increment is formed across it, and all later readings are corrected by it. If only the readings before or "
-    "after it are wrong, the phase after it is another one: phases = 'per-segment' shows it",
+    "jump": "no increment is formed across it, and all later readings are corrected by it",
 }
+_OF_A_PHASE = {
+    "spike": ". The readings at a gap ({}) are too few to separate wrong readings from a slip of the counter. "
+    f"If the counter slipped, {_OTHER_PHASE}",
+    "jump": f". If only the readings before or after it are wrong, {_OTHER_PHASE}",
+}
+"""What follows, by kind, if the instrument has a phase that it may lose."""
 
 
-def _events(
-    outliers: tuple[Outlier, ...], counts: dict[str, int], at_gap: tuple[Outlier, ...], direct: bool
-) -> list[Event]:
-    """Events for the findings, by kind. ``at_gap`` are spikes at a gap; a ``direct`` instrument has no phase that it may lose."""
+def _events(found: list[tuple[Outlier, bool]], direct: bool) -> list[Event]:
+    """Events for the findings, by kind."""
+
+    def named(parts: list[str]) -> str:
+        return ", ".join(parts[:_NAMED]) + (" and more" if len(parts) > _NAMED else "")
+
     events = []
-    for kind, text in _WORDS.items():
-        those = [outlier for outlier in outliers if outlier.kind == kind]
+    for kind, words in _WORDS.items():
+        those = [outlier for outlier, _ in found if outlier.kind == kind]
         if those:
-            times = ", ".join(f"{outlier.time:.6g}" for outlier in those[:_NAMED])
-            more = " and more" if counts[kind] > sum(max(o.samples, 1) for o in those[:_NAMED]) else ""
-            words = text.partition(". If")[0] if direct else text
-            also = _perhaps_a_slip(at_gap) if kind == "spike" and not direct else ""
-            events.append(
-                Event(f"outlier-{kind}", counts[kind], those[0].row, f"t = {times}{more} s: {words}{also}")
-            )
+            gaps = [f"{o.samples} from t = {o.time:.6g} s" for o, gap in found if gap and kind == "spike"]
+            also = "" if direct or (kind == "spike" and not gaps) else _OF_A_PHASE.get(kind, "")
+            times = named([f"{outlier.time:.6g}" for outlier in those])
+            detail = f"t = {times} s: {words}{also.format(named(gaps))}"
+            count = sum(max(outlier.samples, 1) for outlier in those)
+            events.append(Event(f"outlier-{kind}", count, those[0].row, detail))
     return events
-
-
-def _perhaps_a_slip(at_gap: tuple[Outlier, ...]) -> str:
-    """Remark on spikes at a gap."""
-    if not at_gap:
-        return ""
-    listed = ", ".join(f"{one.samples} from t = {one.time:.6g} s" for one in at_gap[:_NAMED])
-    more = " and more" if len(at_gap) > _NAMED else ""
-    return (
-        f". The readings at a gap ({listed}{more}) are too few to separate wrong readings "
-        "from a slip of the counter. If the counter slipped, the phase after it is another one: "
-        "phases = 'per-segment' shows it"
-    )

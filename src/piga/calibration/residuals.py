@@ -19,10 +19,6 @@ from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
 
-LAG_PART = 8192
-"""Samples per step when lagged products are summed: 64 KiB."""
-
-
 LAGS = 20
 """Lags of the portmanteau test."""
 _WHITE = 1e-3
@@ -49,36 +45,18 @@ def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Re
     run = design.run
     d, h = residual_increments(design, values)
     before = _nominal_increments(design)
-    whitened = _whitened(d, h, noise, mode, run.median_step)
-    variances = noise.rate_variances(len(run.labels))
+    whitened = Whitener(mode, noise, 1, run.median_step).column(d, h)
+    variances, segment = noise.rate_variances(len(run.labels)), run.segment_index
     if mode == "increments" and variances.any():
-        rates = _whitened(h, h, noise, mode, run.median_step)
-        _take_rates(whitened, rates, run.segment_index, variances)
+        rates = Whitener(mode, noise, 1, run.median_step).column(h, h)
+        square = np.bincount(segment, rates**2, minlength=variances.size)
+        product = np.bincount(segment, rates * whitened, minlength=variances.size)
+        whitened -= (rate_share(variances, square) * product)[segment] * rates
     if mode != "samples":
         _stretch_angle(d, run.begins)
         _stretch_angle(before, run.begins)
-    return Residuals(
-        run.row,
-        run.t,
-        design.phase_angle,
-        run.f[:, 0],
-        before,
-        d,
-        whitened,
-        run.segment_index,
-        unit=run.output_unit,
-    )
-
-
-def _whitened(d: Array, h: Array, noise: Noise, mode: str, step: float) -> Array:
-    return Whitener(mode, noise, 1, step).column(d, h)
-
-
-def _take_rates(whitened: Array, own: Array, segment: NDArray[np.int32], variances: Array) -> None:
-    """Whiten residuals for rates of the segments of these variances; ``own`` are whitened intervals. In place."""
-    square = np.bincount(segment, own**2, minlength=variances.size)
-    product = np.bincount(segment, own * whitened, minlength=variances.size)
-    whitened -= (rate_share(variances, square) * product)[segment] * own
+    columns = (run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, segment)
+    return Residuals(*columns, unit=run.output_unit)
 
 
 def _nominal_increments(design: Design) -> Array:
@@ -111,35 +89,24 @@ def _stretch_angle(increments: Array, begins: NDArray[np.bool_]) -> None:
 
 def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
     """One row per segment."""
-    run = design.run
-    return tuple(
-        _summary(design, residuals, int(left), int(right)) for left, right in pairwise(run.segment_edges())
-    )
-
-
-def _summary(design: Design, residuals: Residuals, left: int, right: int) -> SegmentSummary:
-    run, part = design.run, slice(left, right)
-    begins = np.flatnonzero(run.begins[part])
-    h, output = changes(run.t[part]), run.output[part]
-    h[begins] = 0.0
-    duration = float(h.sum())
-    step = (
-        np.multiply(h, middles(output), out=h)
-        if design.point
-        else np.subtract(output[1:], output[:-1], out=h[1:])
-    )
-    step[begins if design.point else begins[begins > 0] - 1] = 0.0
-    turned = float(step.sum())
-    return SegmentSummary(
-        label=run.labels[int(run.segment_index[left])],
-        rows=right - left,
-        duration=duration,
-        mean_a_x=float(run.f[part, 0].mean()),
-        turns=None if run.direct else turned / (2.0 * math.pi),
-        rms=root_mean_square(residuals.after[part]),
-        rms_before=root_mean_square(residuals.before[part]),
-        max_after=largest_size(residuals.after[part]),
-    )
+    run, rows = design.run, []
+    for left, right in pairwise(run.segment_edges().tolist()):
+        part, inside = slice(left, right), ~run.begins[left + 1 : right]
+        step, output = np.diff(run.t[part])[inside], run.output[part]
+        moved = step * middles(output)[1:][inside] if design.point else np.diff(output)[inside]
+        rows.append(
+            SegmentSummary(
+                label=run.labels[int(run.segment_index[left])],
+                rows=right - left,
+                duration=float(step.sum()),
+                mean_a_x=float(run.f[part, 0].mean()),
+                turns=None if run.direct else float(moved.sum()) / (2.0 * math.pi),
+                rms=root_mean_square(residuals.after[part]),
+                rms_before=root_mean_square(residuals.before[part]),
+                max_after=largest_size(residuals.after[part]),
+            )
+        )
+    return tuple(rows)
 
 
 def root_mean_square(values: Array) -> float:
@@ -202,8 +169,7 @@ def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Produ
     sums = float(square.sum()), float(square @ x), float(square @ square)
     variance = sums[0] / n
     lags = min(LAGS, n // 5)
-    products = np.zeros(lags + 1)
-    add_lagged_products(x, products)
+    products = lagged_products(x, lags)
     correlation = products[1:] / products[0]
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
@@ -281,7 +247,6 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
     formed = innovation != 0.0
     rng = np.random.default_rng(0)
     besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
-    correlated = np.zeros((1 + DRAWS, LAGS + 1))
     rows = [innovation]
     for _ in range(DRAWS):
         place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
@@ -290,11 +255,8 @@ def counted_products(design: Design, noise: Noise, mode: str, residuals: Residua
         error = count * np.round(noisy / count) - place - path
         increments = np.diff(error, prepend=error[0])
         increments[h <= 0.0] = 0.0
-        rows.append(_whitened(increments, h, noise, mode, run.median_step))
-    for row, out in zip(rows, correlated, strict=True):
-        kept = row[formed]
-        add_lagged_products(kept - kept.mean(), out)
-    return correlated
+        rows.append(Whitener(mode, noise, 1, run.median_step).column(increments, h))
+    return np.array([lagged_products(row[formed] - row[formed].mean(), LAGS) for row in rows])
 
 
 def counting_probability(runs: tuple[Products, ...]) -> float:
@@ -319,10 +281,6 @@ def counting_probability(runs: tuple[Products, ...]) -> float:
     return float(gammaincc(middle**2 / spread, distance * middle / spread))
 
 
-def add_lagged_products(x: Array, out: Array) -> None:
-    """Add ``sum x[i] x[i + k]`` to ``out[k]``, k = 0 .. out.size - 1, in parts that stay in the cache."""
-    for start in range(0, x.size, LAG_PART):
-        for k in range(out.size):
-            stop = min(start + LAG_PART, x.size - k)
-            if stop > start:
-                out[k] += x[start:stop] @ x[start + k : stop + k]
+def lagged_products(x: Array, lags: int) -> Array:
+    """``sum x[i] x[i + k]`` for k = 0 .. lags."""
+    return np.array([x[: max(x.size - k, 0)] @ x[k:] for k in range(lags + 1)])

@@ -17,7 +17,7 @@ from piga.calibration.orders import (
     ripple,
     segment_slices,
 )
-from piga.calibration.residuals import add_lagged_products
+from piga.calibration.residuals import lagged_products
 from piga.noise.deviations import allan_deviation
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.diagnostics import Residuals
@@ -278,8 +278,7 @@ def _whiteness_figure(residuals: Residuals, verdict: str | None) -> Figure | Non
     density, edges = np.histogram(innovation, bins=50, range=(-5.0, 5.0), density=True)
     centre = 0.5 * (edges[1:] + edges[:-1])
     normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
-    products = np.zeros(min(_LAGS, max(innovation.size - 2, 0)) + 1)
-    add_lagged_products(innovation - innovation.mean(), products)
+    products = lagged_products(innovation - innovation.mean(), min(_LAGS, max(innovation.size - 2, 0)))
     lags, correlation = np.arange(1.0, products.size), products[1:] / (products[0] or 1.0)
     bound = np.full(lags.size, 1.96 / math.sqrt(innovation.size))
     plot = Plot("whiteness", "Whitened residuals.", columns=2, height=2.6)
