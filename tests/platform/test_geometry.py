@@ -12,11 +12,8 @@ from hypothesis import strategies as st
 
 from piga.frames import matrix_to_rotation_vector
 from piga.platform.geometry import (
-    geodetic_to_earth,
     gimbal_attitude,
     gimbals_of,
-    gravitation,
-    gravitation_gradient,
     misalignment,
     nulled_attitude,
     small_angle_attitude,
@@ -112,12 +109,6 @@ def test_derivatives_of_a_tip_are_those_of_finite_differences():
         up, down = Tip(tip.vector + step), Tip(tip.vector - step)
         slope = (up.series(angle)[0] - down.series(angle)[0]) / 2e-9
         np.testing.assert_allclose(columns[:, k], slope, rtol=0, atol=1e-7)
-
-
-def test_gradient_of_gravitation_is_that_of_finite_differences():
-    position = geodetic_to_earth(0.7, 0.3, 50.0)
-    differences = [(gravitation(position + e) - gravitation(position - e)) / 200.0 for e in 100.0 * np.eye(3)]
-    np.testing.assert_allclose(gravitation_gradient(position), np.transpose(differences), rtol=0, atol=1e-14)
 
 
 def test_gimbal_angles_invert_the_gimbal_attitude():

@@ -18,9 +18,8 @@ from piga.platform import (
     spectrum,
     true_knowledge,
 )
-from piga.platform.geometry import encoder_harmonics
 from piga.platform.navigator import true_start
-from piga.platform.scenario import Compensation, Gyro, Harmonic, MotionPlan, Rotation, Sensors
+from piga.platform.scenario import Compensation, Gyro, MotionPlan, Rotation, Sensors
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG, long, navigated, published, wobbling
 
 pytestmark = pytest.mark.interpreted
@@ -144,16 +143,6 @@ def test_the_redundancy_angle_is_followed_without_lag():
     ignorant = replace(true_knowledge(s), eta_rate=0.0)
     late = compensator("B", ignorant, run.readouts).eta - run.truth.eta
     assert abs(late[-1]) < 0.2 * np.abs(late).max()
-
-
-def test_harmonics_over_encoder_and_case_angle_are_the_same():
-    gyro = Gyro(1e-3, 0.6, (Harmonic(1, 1e-5, 0.2), Harmonic(2, 3e-5, 2.0)))
-    cosines, sines = encoder_harmonics(gyro, 2)
-    theta = np.linspace(0.0, 6.0, 9)
-    c = theta + 0.6
-    expected = 1e-5 * np.cos(c + 0.2) + 3e-5 * np.cos(2 * c + 2.0)
-    result = sum(cosines[k] * np.cos((k + 1) * theta) + sines[k] * np.sin((k + 1) * theta) for k in range(2))
-    np.testing.assert_allclose(result, expected, atol=1e-18)
 
 
 def test_a_spectrum_shows_the_amplitude_of_a_sine():

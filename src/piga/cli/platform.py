@@ -67,8 +67,8 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, json: _Json 
     Writes alignment.json and a page.
     """
     from piga.errors import PigaError
-    from piga.platform.alignment import align as align_platform
     from piga.platform.chain import prepare
+    from piga.platform.identify import align as align_platform
     from piga.platform.scenario import load_scenario
     from piga.reports.platform import alignment_page
 
@@ -101,6 +101,7 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
     """
     from piga.platform.chain import sources_of
     from piga.platform.identify import identification_document, identify_growing, observability
+    from piga.platform.observation import MOVING_SOURCES, SOURCES
     from piga.platform.scenario import load_scenario
     from piga.reports.platform import identification_page
 
@@ -113,7 +114,8 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, json: _Js
                 stretch, s.place, sources=sources_of(run), orders=orders, progress=advance
             )
             identification = growing.parts[-1]
-            sources = observability(stretch, identification)
+            allowed = SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
+            sources = observability(stretch, s.place, sources=allowed, orders=orders)
         document = identification_document(identification, sources)
         whole = identification_page(run, growing, sources)
         to.show(document, whole, whole.only("parameters"), "identification.json", "report.html")

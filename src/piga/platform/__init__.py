@@ -4,7 +4,6 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 ``compare`` does all of it for every compensation model. See docs/theory/platform.md.
 """
 
-from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
 from piga.platform.chain import (
     ModelComparisonRun,
@@ -16,8 +15,10 @@ from piga.platform.chain import (
 )
 from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
 from piga.platform.identify import (
+    Alignment,
     GrowingIdentification,
     Identification,
+    align,
     identify,
     identify_growing,
     observability,

@@ -182,15 +182,11 @@ def daily_lines(errors: Errors, rates: float | tuple[float, ...], latitude: floa
     """Line amplitudes of every channel, day by day, at the case ``rates`` [rad/s] (one, or polar and equatorial)."""
     rates = rates if isinstance(rates, tuple) else (rates,)
     table, parts = np.stack(list(channels(errors).values()), axis=1), day_slices(errors.times)
-    amplitude = np.empty((len(rates), len(parts), len(CHANNELS)))
-    for length in {part.stop - part.start for part in parts}:
-        days = [k for k, part in enumerate(parts) if part.stop - part.start == length]
-        values = np.concatenate([table[parts[k]] for k in days], axis=1)
-        fitted = fitted_lines(errors.times[parts[days[0]]], values, rates, latitude)
-        amplitude[:, days] = fitted.reshape(len(rates), len(days), len(CHANNELS))
+    days = [fitted_lines(errors.times[part], table[part], rates, latitude) for part in parts]
+    amplitude = np.array(days).reshape(len(parts), len(rates), len(CHANNELS)).transpose(1, 2, 0)
     horizontal = errors.horizontal
     position = np.array([horizontal[part].max() for part in parts])
-    return _lines([dict(zip(CHANNELS, one.T, strict=True)) for one in amplitude], position)
+    return _lines([dict(zip(CHANNELS, one, strict=True)) for one in amplitude], position)
 
 
 def _lines(by_case: list[dict[str, Array]], position: Array) -> Lines:
@@ -237,10 +233,7 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
 def _left_about_pole(
     scenario: PlatformScenario, model: Model, knowledge: Knowledge, time: float, rates: tuple[float, ...]
 ) -> list[float]:
-    """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``.
-
-    A gyro's line orders over its case turn put order ``rate / case`` at ``rate``, if that is whole.
-    """
+    """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``: order one of each case."""
     truth = true_knowledge(scenario)
     eta = truth.eta0 + truth.eta_rate * time
     left = _about_pole(truth.polar, truth.equatorial, eta)
@@ -249,15 +242,8 @@ def _left_about_pole(
         if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
         left = left - _about_pole(polar, equatorial, knowledge.eta0 if model == "A" else eta)
-    lines, amplitudes = np.fft.fft(left) / 128.0, []
-    for rate in rates:
-        total = 0.0j
-        for line, case in zip(lines, rates if len(rates) == 2 else rates * 2, strict=True):
-            order = round(rate / case) if case > 0.0 else 0
-            if 0 < order < 128 and abs(order * case - rate) <= _ALIKE * rate:
-                total += complex(line[order])
-        amplitudes.append(abs(total))
-    return amplitudes
+    lines = np.fft.fft(left)[:, 1] / 128.0
+    return np.abs(lines if len(rates) == 2 else [lines.sum()]).tolist()
 
 
 def _about_pole(polar: Gyro, equatorial: Gyro, eta: float) -> Array:

@@ -5,7 +5,7 @@ The budget holds the linear model against full perturbed runs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +14,9 @@ import numpy as np
 from piga import earth
 from piga.frames import rotation_vector_to_matrix
 from piga.platform import analysis, navigator
-from piga.platform.alignment import Alignment, align
 from piga.platform.analysis import Lines, case_rates
 from piga.platform.geometry import local_axes
-from piga.platform.identify import Identification, identify
+from piga.platform.identify import Alignment, Identification, align, identify
 from piga.platform.navigator import (
     Errors,
     Knowledge,
@@ -32,7 +31,7 @@ from piga.platform.scenario import Gyro, Model, MotionPlan, PlatformScenario
 from piga.platform.simulate import PlatformRun, number_table, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
-from piga.units import ARCMIN, ARCSEC, G0
+from piga.units import ARCMIN, ARCSEC, DAY, G0
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -310,21 +309,20 @@ def _row(run: PlatformRun, quiet: Errors, source: str, perturbation: Perturbatio
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LineRow(Result):
-    """Lines of the last day that misalignments of known size leave, by channel in SI: closed form and full run.
+    """Lines of the last day that misalignments of known size leave, by channel in SI, in closed form.
 
     ``period`` [s] of the case at whose rate the lines stand.
     """
 
     source: str
     period: float
-    theory: Mapping[str, float]
-    full: Mapping[str, float]
+    lines: Mapping[str, float]
 
 
 def line_budget(
     scenario: PlatformScenario, identification: Identification | None = None
 ) -> tuple[LineRow, ...]:
-    """Lines that an error of each misalignment alone, then of both, leaves on a base at rest; perfect sensors.
+    """Lines that an error of each misalignment alone, then of both, leaves on a base at rest.
 
     The errors are the standard uncertainties of the identification, or one arc-second. The redundancy angle grows as
     the scenario says. None where a case rests or turns back and forth.
@@ -335,40 +333,28 @@ def line_budget(
     sizes = [ARCSEC] * 2
     if identification is not None:
         sizes = [identification[f"{gyro}.misalignment"].std for gyro in ("polar", "equatorial")]
-    growth = scenario.equatorial.drift[0] - scenario.polar.drift[1]
-    still = replace(scenario.without_errors(), motion=MotionPlan(heading=scenario.motion.heading))
+    growth, rates = true_knowledge(scenario).eta_rate, case_rates(scenario)
+    end = scenario.duration
+    day = np.array([(np.ceil(end / DAY) - 1.0) * DAY, end])
     rows: list[LineRow] = []
     labels = ("polar misalignment", "equatorial misalignment", "both misalignments")
     for label, used in zip(labels, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), strict=True):
         polar, equatorial = used[0] * sizes[0], used[1] * sizes[1]
         alone = replace(
-            still,
+            scenario,
+            motion=MotionPlan(heading=scenario.motion.heading),
             polar=Gyro(polar, scenario.polar.phase),
             equatorial=Gyro(equatorial, scenario.equatorial.phase, drift=(growth, 0.0)),
         )
+        theory = analysis.theory_lines(alone, "none", true_knowledge(alone), [slice(0, 2)], day)
         size = " and ".join(f"{value / ARCSEC:.2g}" for value in (polar, equatorial) if value > 0.0)
-        rows += _line_rows(alone, f"{label}, {size} arcsec")
+        for rate, amplitude in zip(rates, theory.by_case.values(), strict=True):
+            lines = {name: float(value[0]) for name, value in amplitude.items()}
+            if lines["heading"] > 0.0:
+                rows.append(LineRow(f"{label}, {size} arcsec", 2.0 * np.pi / rate, lines))
     return tuple(rows)
-
-
-def _line_rows(scenario: PlatformScenario, source: str) -> Iterator[LineRow]:
-    run, rates = simulate(scenario), case_rates(scenario)
-    known = Preparation(true_knowledge(scenario), true_start(run.truth), None, None)
-    every = max(1, round(min(10.0, 0.05 * 2.0 * np.pi / max(rates)) / scenario.step))
-    ran = run_model(run, known, "none", every=every)
-    if ran.theory is not None:
-        both = zip(rates, ran.theory.by_case.values(), ran.lines.by_case.values(), strict=True)
-        for rate, theory, full in both:
-            if max(theory["heading"]) > 0.0:
-                last = ({name: float(v[-1]) for name, v in one.items()} for one in (theory, full))
-                yield LineRow(source, 2.0 * np.pi / rate, *last)
 
 
 def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
     """Lines of each misalignment alone and of both as JSON rows. A missing line is null."""
-    return [
-        {"source": row.source, "period_s": row.period}
-        | _shown("line_linear", row.theory)
-        | _shown("line_full", row.full)
-        for row in rows
-    ]
+    return [{"source": row.source, "period_s": row.period} | _shown("line_linear", row.lines) for row in rows]

@@ -77,17 +77,6 @@ def gravitation(position: ArrayLike) -> Array:
     return -earth.GM * inverse2**1.5 * r * (1.0 + q * (np.array([1.0, 1.0, 3.0]) - 5.0 * s2))
 
 
-def gravitation_gradient(position: Array) -> Array:
-    """Derivative (3, 3) of :func:`gravitation` by the position (3,) [1/s^2]."""
-    r2 = float(position @ position)
-    q = 1.5 * earth.J2 * earth.SEMI_MAJOR_AXIS**2 / r2
-    s2 = position[2] ** 2 / r2
-    factor = 1.0 + q * (np.array([1.0, 1.0, 3.0]) - 5.0 * s2)
-    change = np.outer(position * (2.0 + 10.0 * q * s2 - 5.0 * factor) / r2, position)
-    change[:, 2] -= 10.0 * q * position[2] / r2 * position
-    return np.asarray(-earth.GM / r2**1.5 * (np.diag(factor) + change))
-
-
 def specific_force_at_rest(position: ArrayLike) -> Array:
     """Specific force [m/s^2] in Earth axes of a body at rest on the turning Earth, (..., 3)."""
     r = np.asarray(position, dtype=float)
@@ -97,21 +86,6 @@ def specific_force_at_rest(position: ArrayLike) -> Array:
 def gravity(latitude: float, height: float = 0.0) -> float:
     """Magnitude of gravity [m/s^2] of this field (J2 and rotation) at a geodetic place."""
     return float(np.linalg.norm(specific_force_at_rest(geodetic_to_earth(latitude, 0.0, height))))
-
-
-def encoder_harmonics(gyro: Gyro, orders: int) -> tuple[Array, Array]:
-    """Cosine and sine coefficients [rad] of the misalignment, order 1 to ``orders``, over the *encoder* angle.
-
-    This is the case angle ``c`` less the phase of the gyro. With ``c = theta + phase``:
-    ``a cos(k c + p) = A cos(k theta) + B sin(k theta)``, ``A = a cos(k phase + p)``, ``B = -a sin(k phase + p)``.
-    """
-    cosines, sines = np.zeros(orders), np.zeros(orders)
-    for h in gyro.harmonics:
-        if h.order <= orders:
-            angle = h.order * gyro.phase + h.phase
-            cosines[h.order - 1] += h.amplitude * np.cos(angle)
-            sines[h.order - 1] -= h.amplitude * np.sin(angle)
-    return cosines, sines
 
 
 def misalignment(gyro: Gyro, angle: ArrayLike) -> Array:

@@ -1,30 +1,32 @@
-"""Identification of misalignments, phases and harmonics from readouts, with covariance.
+"""Identification of misalignments, phases and harmonics from readouts, and alignment, with covariance.
 
 Sources: ``gimbals`` (angles of a static base), ``pick-off`` (redundancy axis), ``force`` (disturbance in
-the specific force, any base). Only readouts are used. :func:`observability` states, before any estimate, which
-unknowns each source can determine.
+the specific force, any base). Only readouts are used.
+
+Alignment on a static base: gravity describes a cone about the Earth's axis, because the platform keeps its attitude in
+inertial space. The gimbal angles follow the base, because the Earth turns it. Together they give the triad's attitude and drift
+and the base's attitude. Each observation alone lacks one angle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from piga import earth
-from piga.errors import IdentifiabilityError
-from piga.platform.geometry import wrapped
-from piga.platform.navigator import Knowledge
-from piga.platform.observation import STATIC_SOURCES, ObservedRecord, Reduced, Tip, Unknowns
+from piga.errors import IdentifiabilityError, PigaError
+from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
+from piga.platform.geometry import local_axes, wrapped
+from piga.platform.navigator import Knowledge, Start, site_start
+from piga.platform.observation import SOURCES, STATIC_SOURCES, ObservedRecord, Reduced, Tip, Unknowns, names
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
 from piga.results import Array, Plotted, Result, finite
 from piga.threads import one_thread
-from piga.units import ARCSEC
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
+_NOISE_STEPS = 20
+"""Most steps to the noise levels of the groups."""
 _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
@@ -53,8 +57,11 @@ class LeastSquares(Result):
         return noise, {part.name: float(np.sqrt(part.squares(self.step) / part.rows)) for part in parts}
 
 
-def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str]) -> LeastSquares:
-    """Weighted least squares with the noise ``levels`` (standard deviations) of the groups.
+def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
+    """Weighted least squares with noise levels (standard deviations) of the groups, estimated from the residuals of the same rows.
+
+    Each group loses the degrees of freedom that its rows gave to the estimate: the sum of their leverages,
+    ``trace(J C J') / sigma^2``.
 
     Raises
     ------
@@ -62,40 +69,28 @@ def solve(parts: Sequence[Reduced], levels: Sequence[float], names: Sequence[str
         If a combination of unknowns cannot be determined from the rows. The message names it.
     """
     p = len(names)
-    stacked = np.concatenate([part.factor / level for part, level in zip(parts, levels, strict=True)])
-    factor: Array = np.linalg.qr(stacked, mode="r")  # type: ignore[assignment]
-    norms = np.linalg.norm(factor[:p, :p], axis=0)
-    norms[norms == 0.0] = 1.0
-    left, values, right = np.linalg.svd(factor[:p, :p] / norms)
-    if values[-1] < 1e-11 * values[0]:
-        raise IdentifiabilityError(
-            f"the record cannot tell apart: {in_words(right[-1], names)}",
-            remedy="use another source of observation, a longer record or unequal case speeds",
-        )
-    inverse = (right.T / values) @ left.T / norms[:, None]
-    condition = float(values[0] / values[-1])
-    return LeastSquares(inverse @ factor[:p, p], inverse @ inverse.T, condition, tuple(levels))
-
-
-def solve_with_noise(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
-    """Weighted least squares with noise levels estimated from the residuals of the same rows.
-
-    Each group loses the degrees of freedom that its rows gave to the estimate: the sum of their leverages,
-    ``trace(J C J') / sigma^2``.
-    """
-    levels = [max(float(np.linalg.norm(p.factor[:, -1]) / np.sqrt(p.rows)), _SMALLEST_SIGMA) for p in parts]
-    solution, settled = solve(parts, levels, names), False
-    for _ in range(20):
-        levels = []
-        for part, level in zip(parts, solution.levels, strict=True):
+    levels = [float(np.linalg.norm(part.factor[:, -1]) / np.sqrt(part.rows)) for part in parts]
+    for _ in range(_NOISE_STEPS):
+        used = tuple(max(level, _SMALLEST_SIGMA) for level in levels)
+        stacked = np.concatenate([part.factor / level for part, level in zip(parts, used, strict=True)])
+        factor: Array = np.linalg.qr(stacked, mode="r")  # type: ignore[assignment]
+        norms = np.linalg.norm(factor[:p, :p], axis=0)
+        norms[norms == 0.0] = 1.0
+        left, values, right = np.linalg.svd(factor[:p, :p] / norms)
+        if values[-1] < 1e-11 * values[0]:
+            raise IdentifiabilityError(
+                f"the record cannot tell apart: {in_words(right[-1], names)}",
+                remedy="use another source of observation, a longer record or unequal case speeds",
+            )
+        inverse = (right.T / values) @ left.T / norms[:, None]
+        step, covariance, levels = inverse @ factor[:p, p], inverse @ inverse.T, []
+        for part, level in zip(parts, used, strict=True):
             rows = part.factor[:, :-1] / level
-            freedom = max(part.rows - float(np.sum((rows @ solution.covariance) * rows)), 1.0)
-            levels.append(max(float(np.sqrt(part.squares(solution.step) / freedom)), _SMALLEST_SIGMA))
-        settled = np.allclose(levels, solution.levels, rtol=1e-4, atol=0.0)
-        solution = solve(parts, levels, names)
-        if settled:
+            freedom = max(part.rows - float(np.sum((rows @ covariance) * rows)), 1.0)
+            levels.append(float(np.sqrt(part.squares(step) / freedom)))
+        if np.allclose(levels, used, rtol=1e-4, atol=_SMALLEST_SIGMA):
             break
-    return solution
+    return LeastSquares(step, covariance, float(values[0] / values[-1]), used)
 
 
 def in_words(direction: Array, names: Sequence[str]) -> str:
@@ -112,7 +107,7 @@ def gauss_newton(
     for k in range(max(steps, 1)):
         report(progress, k, steps, f"step {k + 1} of at most {steps}")
         parts = record.groups(x)
-        solution = solve_with_noise(parts, record.names)
+        solution = solve(parts, record.names)
         x = record.moved(x, solution.step)
         if np.all(np.abs(solution.step) < settled * np.sqrt(np.diag(solution.covariance))):
             break
@@ -311,27 +306,13 @@ def identify_growing(
 
 
 UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
-_OBSERVED = {
-    "gimbals, z only": "z",
-    "redundancy-axis pick-off only": "Y",
-    "gimbals, x and y": "xy",
-    "gimbals, z, with pick-off": "zY",
-    "gimbals, all": "xyz",
-    "gimbals with pick-off": "xyzY",
-    "specific force": "123",
-    "specific force with pick-off": "123Y",
-}
-"""Small angles, pick-off and axes of the specific force that each source observes."""
-_SEPARABLE = 100.0
-"""Condition number above which unknowns count as not separable: their uncertainty has grown a hundredfold."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observability(Result):
-    """One source: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
+    """What one choice of sources tells: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
 
-    ``std`` is for white noise of one arc-second on every reading (infinite: not observable). For the specific
-    force this is one arc-second of its direction, 48 um/s^2.
+    Both are infinite if :func:`identify` refuses these sources; the sentence then gives the reason.
     """
 
     source: str
@@ -341,51 +322,25 @@ class Observability(Result):
     sentence: str
 
 
-@one_thread()
-def observability(readouts: Readouts, identification: Identification) -> tuple[Observability, ...]:
-    """Observability of the two misalignments from each source alone and together.
+def observability(
+    readouts: Readouts, place: Place, *, sources: Sequence[str] = SOURCES, orders: int = 3
+) -> tuple[Observability, ...]:
+    """What each of the ``sources`` alone, and with the pick-off, tells of the two misalignments: :func:`identify` with each.
 
-    ``identification`` gives the redundancy angle. If both cases turn at one speed, the z angle alone contains
-    ``m2 sin(c2) - m1 tan(eta) cos(c1)`` as one line, and the pick-off alone ``m2 cos(c2) - m1 sin(c1)``. Each then
-    leaves two of the four unknowns undetermined.
+    If both cases turn at one speed, the pick-off alone contains ``m2 cos(c2) - m1 sin(c1)`` as one line. It leaves two of the
+    four unknowns undetermined.
     """
-    every = max(1, len(readouts.times) // 4000)
-    t, *encoders = (v[::every] for v in (readouts.times, readouts.encoder1, readouts.encoder2))
-    i, turns = identification, (np.eye(3), np.zeros(3), np.eye(3))
-    x = Unknowns(Tip.of(i.polar, 0), Tip.of(i.equatorial, 0), i.eta0, i.eta_rate, *turns)
-    e, pick = x.regressors(t, *encoders)
-    # the direction of gravity in the triad: a cone about the Earth's axis
-    angle = earth.EARTH_RATE * readouts.times
-    cone = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    gravity = cone @ np.linalg.lstsq(0.5 * (cone[1:] + cone[:-1]), readouts.increments, rcond=None)[0]
-    gravity /= np.linalg.norm(gravity, axis=1, keepdims=True)
-    felt = np.cross(gravity[::every, :, None], e, axis=1)
-    table = [*(e[:, k] for k in range(3)), pick, *(felt[:, k] for k in range(3))]
-    rows = dict(zip("xyzY123", (one[:, :4] for one in table), strict=True))
-    equal = np.allclose(np.diff(encoders[0][:64]), np.diff(encoders[1][:64]))
-    basis, _ = np.linalg.qr(np.stack([np.ones_like(t), t / t[-1]], axis=1))
-    verdicts = []
-    for source, keys in _OBSERVED.items():
-        clean = np.concatenate([rows[k] - basis @ (basis.T @ rows[k]) for k in keys])
-        _, values, right = np.linalg.svd(clean, full_matrices=False)
-        condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
-        scatter = right.T / np.where(values > 0.0, values, np.nan) * (np.sqrt(every) * ARCSEC)
-        std = np.nan_to_num(np.sqrt(np.sum(scatter**2, axis=1)), nan=np.inf)
-        separable, hidden = condition < _SEPARABLE, right[values < values[0] / _SEPARABLE]
-        sentence = "tells both misalignments and both phases" if separable else _mixed(hidden, clean, equal)
-        verdicts.append(Observability(source, condition, std, separable, sentence))
+    verdicts, pick = [], "pick-off"
+    for chosen in ((pick,), *((s,) for s in sources if s != pick), *((s, pick) for s in sources if s != pick)):
+        try:
+            found = identify(readouts, place, sources=chosen, orders=orders)
+        except PigaError as error:
+            verdict = np.inf, np.full(4, np.inf), False, f"{error.message}; {error.remedy}"
+        else:
+            std = np.sqrt([found.covariance[k, k] for k in (found.names.index(name) for name in UNKNOWNS)])
+            verdict = found.condition, std, True, "tells both misalignments and both phases"
+        verdicts.append(Observability(" with ".join(chosen), *verdict))
     return tuple(verdicts)
-
-
-def _mixed(hidden: Array, clean: Array, equal: bool) -> str:
-    """The unknowns that a source leaves undetermined, and what to do; ``equal``: both cases turn at one speed."""
-    unseen = [n for n, column in zip(UNKNOWNS, clean.T, strict=True) if not column.any()]
-    if unseen:
-        return f"does not see {', '.join(unseen)} at all; add the z axis or the pick-off"
-    mixed = "; ".join(in_words(direction, UNKNOWNS) for direction in hidden)
-    why = ": both cases turn at one speed, so that the two lines coincide" if equal else ""
-    cure = ", or turn the cases at unequal speeds" if equal else ""
-    return f"cannot tell apart {mixed}{why}; add the other gimbal axes or the pick-off{cure}"
 
 
 def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
@@ -401,10 +356,109 @@ def identification_document(identification: Identification, sources: Sequence[Ob
         {
             "source": o.source,
             "condition": finite(o.condition),
-            "std_rad": {n: (v if v < 1.0 else None) for n, v in zip(UNKNOWNS, o.std.tolist(), strict=True)},
+            "std_rad": dict(zip(UNKNOWNS, (finite(v) for v in o.std.tolist()), strict=True)),
             "separable": o.separable,
             "verdict": o.sentence,
         }
         for o in sources
     ]
     return dict(msgspec.to_builtins(document))
+
+
+# -- alignment on a static base ----------------------------------------------------------------------------------
+
+ALIGNED = names(0)[-9:]
+"""Order of the covariance: triad attitude [rad], triad drift [rad/s], base attitude about Earth axes [rad]."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Alignment(Result):
+    """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
+
+    ``covariance`` (9, 9) in the order of :data:`ALIGNED`; ``noise`` per source; ``rms`` after the fit.
+    The alignment cannot observe accelerometer biases.
+    """
+
+    place: Place
+    triad: Array
+    drift: Array
+    base: Array
+    covariance: Array
+    noise: dict[str, float]
+    rms: dict[str, float]
+    condition: float
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties (9,) in the order of :data:`ALIGNED`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def triad_vector(self) -> Array:
+        """Rotation vector (3,) [rad] from inertial axes to the triad."""
+        return matrix_to_rotation_vector(self.triad)
+
+    @property
+    def base_angles(self) -> Array:
+        """Roll, pitch, heading (3,) [rad] of the base."""
+        return _angles(self.base)
+
+    @property
+    def base_stds(self) -> Array:
+        """Standard uncertainties of roll, pitch, heading (3,) [rad]."""
+        to_level = local_axes(self.place.latitude, self.place.longitude).T
+        jacobian = np.empty((3, 3))
+        for k, turn in enumerate(1e-6 * to_level.T):
+            ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
+            difference = _angles(ahead) - _angles(behind)
+            jacobian[:, k] = wrapped(difference) / 2e-6
+        return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
+
+    def start(self, *, with_drift: bool) -> Start:
+        """Start of the navigation at the known place, with or without compensation of the estimated drift."""
+        return site_start(self.place, self.triad, self.drift if with_drift else np.zeros(3))
+
+    def document(self) -> dict[str, Any]:
+        """JSON document of ``piga platform align``."""
+        return {
+            "triad_to_inertial": self.triad.tolist(),
+            "triad_rotation_vector_rad": self.triad_vector.tolist(),
+            "drift_rad_s": self.drift.tolist(),
+            "base_roll_pitch_heading_rad": self.base_angles.tolist(),
+            "covariance": {"names": list(ALIGNED), "matrix": self.covariance.tolist()},
+            "noise": self.noise,
+            "condition": self.condition,
+        }
+
+
+def _angles(base: Array) -> Array:
+    """Roll, pitch, heading (3,) [rad] of ``C_b^n``."""
+    pitch = np.arcsin(np.clip(-base[2, 0], -1.0, 1.0))
+    return np.array([np.arctan2(base[2, 1], base[2, 2]), pitch, np.arctan2(base[1, 0], base[0, 0])])
+
+
+def align(
+    readouts: Readouts, place: Place, knowledge: Knowledge, *, orders: int = 3, iterations: int = 5,
+    progress: Progress | None = None,
+) -> Alignment:  # fmt: skip
+    """Align on a record of a base at rest at a known place. The misalignments must be known.
+
+    The method is Gauss-Newton on the exact geometry. The noise levels come from the residuals. ``progress`` is called as
+    ``progress(done, total, what)`` before each step.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the record is too short to determine the attitude.
+    """
+    record = ObservedRecord(readouts, place, ("gimbals", "rest"), orders)
+    known = replace(
+        record.coarse(),
+        polar=Tip.of(knowledge.polar, orders),
+        equatorial=Tip.of(knowledge.equatorial, orders),
+        eta0=knowledge.eta0,
+        eta_rate=knowledge.eta_rate,
+    )
+    x, parts, solution = gauss_newton(record, known, iterations, progress, settled=0.0)
+    base, noise = local_axes(place.latitude, place.longitude).T @ x.base, solution.by_source(parts)
+    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, *noise, solution.condition)

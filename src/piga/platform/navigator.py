@@ -334,12 +334,13 @@ def _error_dynamics(place: Place, gains: Array) -> Array:
     """
     position = geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
     up = -geometry.local_axes(place.latitude, place.longitude)[:, 2]
-    one, vertical = np.eye(3), np.outer(up, up)
+    one, vertical, d = np.eye(3), np.outer(up, up), 100.0
+    ahead, behind = (geometry.gravitation(position + side * one) for side in (d, -d))
     matrix = np.zeros((16, 16))
     matrix[:15, :15] = np.kron(np.eye(5), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))
     matrix[:3, :3] -= gains[0] * vertical
     matrix[:3, 3:6], matrix[:3, 15] = one, gains[0] * up
-    matrix[3:6, :3] = geometry.gravitation_gradient(position) - gains[1] * vertical
+    matrix[3:6, :3] = (ahead - behind).T / (2.0 * d) - gains[1] * vertical
     matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(geometry.specific_force_at_rest(position)), one
     matrix[3:6, 15] = gains[1] * up
     matrix[6:9, 9:12] = one

@@ -45,8 +45,12 @@ class Tip:
     @classmethod
     def of(cls, gyro: Gyro, orders: int) -> Tip:
         """The unknowns that describe ``gyro``, with harmonics up to ``orders``."""
-        fundamental = gyro.misalignment * np.array([np.cos(gyro.phase), np.sin(gyro.phase)])
-        return cls(np.append(fundamental, np.stack(geometry.encoder_harmonics(gyro, orders), axis=1)))
+        waves = np.zeros(1 + orders, dtype=complex)
+        waves[0] = gyro.misalignment * np.exp(-1j * gyro.phase)
+        for h in gyro.harmonics:
+            if h.order <= orders:
+                waves[h.order] += h.amplitude * np.exp(1j * (h.order * gyro.phase + h.phase))
+        return cls(np.stack([waves.real, -waves.imag], axis=1).ravel())
 
     @property
     def phase(self) -> float:
@@ -158,9 +162,7 @@ class ForceFilter:
 
     window: int = 10  # length of a Hann window, as a part of a turn; two are applied in sequence
     rows: int = 20  # kept per turn; lines up to order ten of the case rate stay below the folding frequency
-    points: int = (
-        80  # per turn at which regressors are evaluated: they are smooth, an accuracy of 1e-3 is enough
-    )
+    samples: int = 160  # most per turn; the increments of finer records are added up
     turns: int = 16  # in a stretch; stretches are independent, so the cost is proportional to the record
     fewest: int = 20  # samples per turn of the faster case
 
@@ -172,14 +174,13 @@ FORCE_FILTER = ForceFilter()
 class _Stretch:
     """Part of a record, with what smoothing, whitening and the slow force need; nothing of the unknowns.
 
-    ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples;
-    ``every``: spacing of the points at which regressors are taken; ``spacing`` [s] of the spline's knots.
+    ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples; ``spacing`` [s] of the
+    spline's knots.
     """
 
     readouts: Readouts
     window: Array
     stride: int
-    every: int
     spacing: float
 
     @cached_property
@@ -197,23 +198,17 @@ class _Stretch:
         return np.arange(-3.0, pieces + 4.0) / pieces
 
     @cached_property
-    def points(self) -> NDArray[np.int64]:
-        """Index of the samples at whose middle regressors are taken."""
-        first = (len(self.window) // 2) % self.every
-        return np.arange(first, len(self.readouts.increments), self.every, dtype=np.int64)
-
-    @cached_property
     def slow(self) -> tuple[Array, Array]:
         """QR of the columns (r, q) that span the slow force along one axis, smoothed and whitened."""
-        middles = (self.points + 0.5) / len(self.readouts.increments)
-        splines = BSpline.design_matrix(middles, self.knots, 3).toarray()
-        return np.linalg.qr(self.whitening @ self._smooth_points(splines))
+        n = len(self.readouts.increments)
+        splines = BSpline.design_matrix((np.arange(n) + 0.5) / n, self.knots, 3).toarray()
+        return np.linalg.qr(self._whitened(splines))
 
-    def _smooth_points(self, values: Array) -> Array:
-        """Rows from values at the points only."""
-        thin = self.window[self.points[0] :: self.every]
-        rows = _weighted(values, thin / thin.sum(), self.stride // self.every)
-        return rows[: len(self.whitening)]
+    def _whitened(self, values: Array) -> Array:
+        """Smoothed and whitened rows (r, ...) of ``values`` (n, ...)."""
+        flat = values.reshape(len(values), -1)
+        rows = sliding_window_view(flat, len(self.window), axis=0)[:: self.stride] @ self.window
+        return (self.whitening @ rows).reshape(len(rows), *values.shape[1:])
 
     def rows(self, x: Unknowns) -> tuple[Array, Array]:
         """Whitened residuals (r, 3) [m/s^2] and regressors (r, 3, p) by tips, eta0 and eta_rate, without the slow force.
@@ -224,32 +219,20 @@ class _Stretch:
         r = self.readouts
         half = [geometry.halved(v) for v in _nodes(r)]
         attitude, _ = x.platform(*half)
-        force = r.increments / r.step
-        undone = _weighted(np.einsum("nji,nj->ni", attitude[1::2], force), self.window, self.stride)
-        orthonormal, triangle = self.slow
-        solution = np.linalg.solve(triangle, orthonormal.T @ (self.whitening @ undone))
+        force, (orthonormal, triangle) = r.increments / r.step, self.slow
+        undone = self._whitened(np.einsum("nji,nj->ni", attitude[1::2], force))
+        solution = np.linalg.solve(triangle, orthonormal.T @ undone)
         slow = BSpline(self.knots, solution, 3)(np.linspace(0.0, 1.0, len(half[0])))
-        felt = np.einsum("nij,nj->ni", attitude, slow)
-        predicted = geometry.step_means(felt)
-        points = [v[1::2][self.points] for v in half]
-        e, _ = x.regressors(*points)
-        columns = np.cross(slow[1::2][self.points][:, :, None], e, axis=1)
+        e, _ = x.regressors(*half)
+        predicted = geometry.step_means(np.einsum("nij,nj->ni", attitude, slow))
+        columns = geometry.step_means(np.cross(slow[:, :, None], e, axis=1))
         if r.turn_sensitivity > 0.0:  # the turn of the platform over each step, in its own axes
             predicted -= geometry.turns_between(attitude[::2]) * (r.turn_sensitivity / r.step)
-            columns -= np.gradient(e, points[0], axis=0) * r.turn_sensitivity
-        columns[1:-1] += np.diff(columns, 2, axis=0) / (24.0 * self.every**2)  # their mean over the step
-        residual = _weighted(force - predicted, self.window, self.stride)
-        table = np.concatenate([residual[:, :, None], self._smooth_points(columns)], axis=2)
-        white = self.whitening @ table.reshape(len(table), -1)
-        white = (white - orthonormal @ (orthonormal.T @ white)).reshape(table.shape)
+            columns -= np.diff(e[::2], axis=0) * (r.turn_sensitivity / r.step)
+        white = self._whitened(np.concatenate([(force - predicted)[:, :, None], columns], axis=2))
+        flat = white.reshape(len(white), -1)
+        white = (flat - orthonormal @ (orthonormal.T @ flat)).reshape(white.shape)
         return white[:, :, 0], white[:, :, 1:]
-
-
-def _weighted(values: Array, weights: Array, stride: int) -> Array:
-    """Weighted sums (r, ...) over a moving window of ``values`` (n, ...), every ``stride`` samples."""
-    flat = values.reshape(len(values), -1)
-    rows = sliding_window_view(flat, len(weights), axis=0)[::stride] @ weights
-    return rows.reshape(len(rows), *values.shape[1:])
 
 
 def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
@@ -353,14 +336,15 @@ class ObservedRecord:
     def stretches(self) -> tuple[_Stretch, ...]:
         """Parts of the record for the specific force of any base."""
         (fast, slow), r = self.periods, self.readouts
+        every = max(1, int(fast / r.step / FORCE_FILTER.samples))
+        r = r.between(0, len(r.increments) // every * every, every)
         samples, n = fast / r.step, len(r.increments)
-        every = max(1, round(samples / FORCE_FILTER.points))
-        stride = every * max(1, round(samples / FORCE_FILTER.rows / every))
+        stride = max(1, round(samples / FORCE_FILTER.rows))
         hann = np.hanning(max(round(samples / FORCE_FILTER.window), 3) + 2)[1:-1]
         window = np.convolve(hann, hann) / hann.sum() ** 2
         count = max(1, round(n * r.step / slow / FORCE_FILTER.turns))
         edges = np.linspace(0, n, count + 1).astype(np.int64).tolist()
-        return tuple(_Stretch(r.between(a, b), window, stride, every, slow) for a, b in pairwise(edges))
+        return tuple(_Stretch(r.between(a, b), window, stride, slow) for a, b in pairwise(edges))
 
     def coarse(self) -> Unknowns:
         """First guess from a static record: triad from the gravity cone, base from the first gimbal angles.

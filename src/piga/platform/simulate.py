@@ -289,11 +289,12 @@ class Readouts(Result):
         """The readouts of the first ``duration`` seconds (the whole run when it is shorter)."""
         return self.between(0, max(2, min(len(self.increments), round(duration / self.step))))
 
-    def between(self, first: int, last: int) -> Readouts:
-        """The readouts from node ``first`` to node ``last``."""
+    def between(self, first: int, last: int, every: int = 1) -> Readouts:
+        """The readouts from node ``first`` to node ``last``, a whole number of times ``every`` nodes further on."""
         cut = ["times", "gimbals", "pickoff", "encoder1", "encoder2", *["altitude"] * (len(self.altitude) > 1)]
-        nodes = {name: getattr(self, name)[first : last + 1] for name in cut}
-        return replace(self, increments=self.increments[first:last], **nodes)
+        nodes = {name: getattr(self, name)[first : last + 1 : every] for name in cut}
+        increments = self.increments[first:last].reshape(-1, every, 3).sum(axis=1)
+        return replace(self, increments=increments, **nodes)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from piga.platform.alignment import Alignment
 from piga.platform.analysis import case_rates
 from piga.platform.chain import BudgetRow, LineRow, ModelComparisonRun, last_east_lines
 from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
     UNKNOWNS,
+    Alignment,
     GrowingIdentification,
     Identification,
     Observability,
@@ -181,11 +181,7 @@ def _observability_table(sources: Sequence[Observability]) -> Table:
     )
     table.text("verdict", lambda o: Cell(o.sentence, "good" if o.separable else "doubtful"))
     return table.table(
-        notes=(
-            "u and v are m cos(phase) and m sin(phase).",
-            "Uncertainties for white noise of one arc-second on every reading, at the redundancy angle found.",
-            "On the specific force that is 48 µm/s², one arc-second of its direction.",
-        )
+        notes=("u and v are m cos(phase) and m sin(phase); uncertainties at the noise of this record.",)
     )
 
 
@@ -333,23 +329,19 @@ def _budget_table(budget: Sequence[BudgetRow]) -> Table:
 
 
 def _line_budget_table(budget: Sequence[LineRow]) -> Table:
-    """Lines of each misalignment alone: closed form and full run."""
+    """Lines of each misalignment alone, in closed form."""
     table = TableOf(budget).text("source", lambda b: b.source).number("period", lambda b: f"{b.period:g}", "s")
-    columns = [(channel, way) for channel in _CHANNELS for way in ("linear", "full run")]
-
-    def cell(b: LineRow, column: tuple[str, str]) -> str:
-        channel, way = column
-        return short(_CHANNELS[channel][1] * (b.theory if way == "linear" else b.full)[channel])
-
     table.across(
-        columns,
-        lambda column: f"{column[0].replace('_', ' ')}, {column[1]}",
-        cell,
-        lambda column: _CHANNELS[column[0]][0],
+        list(_CHANNELS),
+        lambda channel: channel.replace("_", " "),
+        lambda b, channel: short(_CHANNELS[channel][1] * b.lines[channel]),
+        lambda channel: _CHANNELS[channel][0],
     )
     return table.table(
         "Lines at the case-rotation periods by misalignment",
-        ("Last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",),
+        (
+            "Closed form, last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
+        ),
     )
 
 

@@ -4,10 +4,8 @@ On a platform fixed in inertial space, gravity describes a cone once a sidereal 
 normal to an input axis of a gyro accelerometer and passes the locked zone ``|a_x| < a_t tan(beta)``. :func:`capstone`
 reads the same days in several ways and navigates each time.
 
-With the usual tan(beta) the zone is passed faster than the gimbal can lock (in ``1/(K a_t tan(beta))``). The error has
-another cause: near the zone the gimbal turns so slowly that the cross-coupling keeps its phase. By stationary phase,
-one passage leaves a velocity error of up to ``a_t tan(beta) sqrt(2 pi / (K |d a_x/dt|))`` (own derivation,
-docs/theory/platform.md section 10).
+With the usual tan(beta) the zone is passed faster than the gimbal can lock. The error has another cause: near the zone the
+gimbal turns so slowly that the cross-coupling keeps its phase (docs/theory/platform.md section 10).
 """
 
 from __future__ import annotations
@@ -39,8 +37,8 @@ from piga.platform.scenario import (
 )
 from piga.platform.simulate import TRIPOD, PlatformRun, locked, mounting_axes, simulate
 from piga.progress import Progress, Steps
-from piga.reports.platform import HOUR, lines_figure, page, published_figure, schuler_peak, time_axis
-from piga.reports.render.figure import XYZ, Figure, Plot, Role, Series
+from piga.reports.platform import lines_figure, page, published_figure, schuler_peak, time_axis
+from piga.reports.render.figure import Figure, Plot, Role, Series
 from piga.reports.render.numbers import short
 from piga.reports.render.page import Page, Section, Table, TableOf, Tile
 from piga.results import Array, Result
@@ -315,27 +313,11 @@ class CapstoneOutcome(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Passage(Result):
-    """One instrument through its locked zone, with half an hour before and after.
-
-    ``part``: its samples; ``lock_time``: time constant of locking [s]; ``velocity_error``: the most that stationary phase
-    predicts for one passage [m/s].
-    """
-
-    instrument: int
-    part: slice
-    lock_time: float
-    velocity_error: float
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Capstone(Result):
-    """Outcomes by name, one passage in detail, and the day of input-axis forces (times [s], (n, 3) [m/s^2])."""
+    """Outcomes by name."""
 
     scenario: PlatformScenario
     outcomes: Mapping[str, CapstoneOutcome]
-    passage: Passage | None
-    day: tuple[Array, Array]
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Largest errors with each reading."""
@@ -398,13 +380,8 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
         read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=reading.sensors))
         run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
         outcomes[reading.name] = _outcome(run, reading, preparation)
-    tripod = next(way.sensors for way in ways if way.name == "raw tripod")
-    assert tripod is not None  # noqa: S101 - named above
-    times, force = ideal.readouts.times, ideal.truth.force
-    one_day = slice(0, min(len(times), round(86164.1 / scenario.step) + 1), max(1, round(60.0 / scenario.step)))
-    along = force[one_day] @ mounting_axes(tripod)[:, 0, :].T
     steps.finish()
-    return Capstone(scenario, outcomes, _passage(ideal, tripod), (times[one_day], along))
+    return Capstone(scenario, outcomes)
 
 
 def _outcome(run: PlatformRun, reading: _TriadReading, preparation: Preparation) -> CapstoneOutcome:
@@ -427,48 +404,6 @@ def _outcome(run: PlatformRun, reading: _TriadReading, preparation: Preparation)
         float(np.hypot(error.velocity[:, 0], error.velocity[:, 1]).max()),
         inside,
         float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0)),
-    )
-
-
-def passage_velocity(half_width: float, scale_factor: float, slope: float) -> float:
-    """Largest velocity error of one passage [m/s], by stationary phase: ``a_t tan(beta) sqrt(2 pi/(K s))``.
-
-    ``half_width`` of the locked zone and ``slope`` of the force [m/s^2, m/s^3]. Own derivation, docs/theory/platform.md
-    section 10.
-    """
-    return half_width * math.sqrt(2.0 * math.pi / (scale_factor * slope))
-
-
-def _passage(run: PlatformRun, sensors: PigaSensors) -> Passage | None:
-    """The first passage of any instrument through its locked zone."""
-    inside = locked(sensors, run.truth.force)
-    if not inside.any():
-        return None
-    first = int(np.argmax(inside.any(axis=1)))
-    instrument = int(np.argmax(inside[first]))
-    margin = round(1800.0 / run.readouts.step)
-    part = slice(max(0, first - margin), min(len(inside) - 1, first + margin) + 1)
-    times, force = run.readouts.times[part], run.truth.force[part]
-    along = force @ mounting_axes(sensors)[instrument, 0]
-    width = float(np.sqrt(np.sum(force**2, axis=1) - along**2).mean() * abs(sensors.tan_beta))
-    slope = abs(float(along[-1] - along[0])) / float(times[-1] - times[0])
-    K = sensors.scale_factor
-    return Passage(instrument, part, 1.0 / (K * width), passage_velocity(width, K, slope))
-
-
-def _force_day_figure(capstone: Capstone) -> Figure:
-    """Specific force along each input axis over a sidereal day, with the locked zone marked."""
-    times, along = capstone.day
-    sensors = capstone.scenario.sensors.pigas
-    width = 9.8 * (sensors.tan_beta if sensors else 0.0)
-    title = "Gravity sweeps through every input axis"
-    plot = Plot("fig-day", title, "time [h]", "force along the input axis [m/s^2]")
-    for k, role in enumerate(XYZ):
-        plot.line(times / HOUR, along[:, k], f"instrument {k + 1}", role)
-    plot.dashed([0.0, times[-1] / HOUR], [0.0, 0.0], "locked zone", "warning")
-    return plot.caption(
-        "Three axes at right angles round the pole. Each crosses zero twice a day, "
-        f"and is inside its locked zone within {1e3 * width:.1f} mm/s^2 of it."
     )
 
 
@@ -504,7 +439,8 @@ def capstone_page(capstone: Capstone) -> Page:
     story = (
         "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
         "horizontal twice a sidereal day and is inside its locked zone for "
-        f"{short(float(raw.locked_per_day.max()))} s a day. {_passage_words(capstone)} "
+        f"{short(float(raw.locked_per_day.max()))} s a day: too short to lock, but about it the gimbal turns so slowly that "
+        "its cross-coupling does not average out. "
         f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
         f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
         f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
@@ -513,19 +449,8 @@ def capstone_page(capstone: Capstone) -> Page:
     )
     sections = (
         Section("What happens", "story", (story, capstone_figure(capstone), _capstone_table(capstone))),
-        Section("Why", "why", (_force_day_figure(capstone),)),
     )
     return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
-
-
-def _passage_words(capstone: Capstone) -> str:
-    p = capstone.passage
-    if p is None:
-        return "No instrument passes its locked zone here."
-    return (
-        f"A passage is too short to lock, which takes {short(p.lock_time / 60.0)} min; but about it the gimbal turns so "
-        f"slowly that its cross-coupling does not average out: each passage leaves up to {short(p.velocity_error)} m/s."
-    )
 
 
 def _capstone_table(capstone: Capstone) -> Table:
