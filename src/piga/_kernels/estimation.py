@@ -155,102 +155,37 @@ _MEANS: dict[tuple[Factor, ...], Callable[[Array, Array], Array]] = {
 """Mean of a product of powers of ``a_x`` while it goes linearly from one value to another."""
 
 
-@kernel
-def cubic_moments(x: float) -> tuple[float, float, float, float]:
-    """``half the integral of v^k exp(i x v)`` over v in [-1, 1] for k = 0 .. 3, less a factor 1, i, 1, i.
-
-    Derivatives of ``sin x / x`` by ``-i d/dx``; series for small x, where the quotients lose digits.
-    """
-    x2 = x * x
-    if x2 < 1.0:
-        m0 = m1 = m2 = m3 = 0.0
-        for c0, c1, c2, c3 in _M:
-            m0, m1, m2, m3 = c0 + x2 * m0, c1 + x2 * m1, c2 + x2 * m2, c3 + x2 * m3
-        return m0, x * m1, m2, x * m3
-    sine, cosine = math.sin(x), math.cos(x)
-    m0 = sine / x
-    m1 = (m0 - cosine) / x
-    m2 = m0 - 2.0 * m1 / x
-    m3 = (3.0 * m2 - cosine) / x
-    return m0, m1, m2, m3
-
-
-_M = tuple(
-    (
-        (-1.0) ** k / math.factorial(2 * k) / (2 * k + 1),
-        (-1.0) ** k / math.factorial(2 * k) / ((2 * k + 1) * (2 * k + 3)),
-        (-1.0) ** k / math.factorial(2 * k) / (2 * k + 3),
-        (-1.0) ** k / math.factorial(2 * k) / ((2 * k + 1) * (2 * k + 5)),
-    )
-    for k in reversed(range(10))
-)
-"""Coefficients of the series in x^2 of the four moments, the highest power first."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+"""Gauss's rule over [-1, 1]: rounding for turns up to 2 rad an interval, 1e-9 for a whole turn."""
 
 
 @kernel
 def servo_columns(psi: Array, w: Array, y: Array, z: Array, h: Array, bend: Array, out: Array) -> None:
-    """Integrals behind the terms of the servo over each interval, all inputs linear between samples.
+    """Integrals behind the terms of the servo over each interval, all inputs linear between samples, by Gauss's rule.
 
     Parameters
     ----------
     psi, w, y, z:
         (n + 1,) angle of the output [rad]; ``u_x/K``, ``u_Y/K``, ``u_Z/K`` [m/s^2] at the samples.
     h, bend:
-        (n,) intervals [s], 0 where none is formed; sag of psi against its chord [rad], to first order.
+        (n,) intervals [s], 0 where none is formed; sag of psi against its chord [rad].
     out:
         (5, n), written. With ``zeta = y + i z``: integrals of ``w |zeta|^2``, of the real part and less the imaginary part
         of ``w zeta^2 exp(-2 i psi)``, of real and imaginary part of ``w^2 zeta exp(-i psi)``.
     """
+    out[:] = 0.0
     for i in range(h.size):
-        if h[i] == 0.0:
-            for k in range(5):
-                out[k, i] = 0.0
-            continue
-        wm, wd = 0.5 * (w[i] + w[i + 1]), 0.5 * (w[i + 1] - w[i])
-        ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
-        zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
-        middle, half = 0.5 * (psi[i] + psi[i + 1]), 0.5 * (psi[i + 1] - psi[i])
-        square = ym * ym + zm * zm
-        even = wm * (yd * yd + zd * zd) + 2.0 * wd * (ym * yd + zm * zd)
-        out[0, i] = h[i] * (wm * square + even / 3.0)
-        # zeta^2 = (a0 + a1 v + a2 v^2) + i (b0 + b1 v + b2 v^2)
-        a0, a1, a2 = ym * ym - zm * zm, 2.0 * (ym * yd - zm * zd), yd * yd - zd * zd
-        b0, b1, b2 = 2.0 * ym * zm, 2.0 * (ym * zd + yd * zm), 2.0 * yd * zd
-        real, imaginary = _turned_integral(
-            (wm * a0, wm * a1 + wd * a0, wm * a2 + wd * a1, wd * a2),
-            (wm * b0, wm * b1 + wd * b0, wm * b2 + wd * b1, wd * b2),
-            2.0 * middle,
-            2.0 * half,
-            2.0 * bend[i],
-        )
-        out[1, i], out[2, i] = h[i] * real, -h[i] * imaginary
-        s0, s1, s2 = wm * wm, 2.0 * wm * wd, wd * wd
-        real, imaginary = _turned_integral(
-            (s0 * ym, s0 * yd + s1 * ym, s1 * yd + s2 * ym, s2 * yd),
-            (s0 * zm, s0 * zd + s1 * zm, s1 * zd + s2 * zm, s2 * zd),
-            middle,
-            half,
-            bend[i],
-        )
-        out[3, i], out[4, i] = h[i] * real, h[i] * imaginary
-
-
-@kernel
-def _turned_integral(
-    a: tuple[float, float, float, float],
-    b: tuple[float, float, float, float],
-    middle: float,
-    half: float,
-    bend: float,
-) -> tuple[float, float]:
-    """Half the integral of ``(a(v) + i b(v)) exp(-i (middle + half v + bend (1 - v^2)))`` over v in [-1, 1]."""
-    m0, m1, m2, m3 = cubic_moments(half)
-    sag = bend * (m0 - m2)
-    # moments of exp(-i half v) are m0, -i m1, m2, -i m3
-    real = a[0] * m0 + a[2] * m2 + b[1] * m1 + b[3] * m3 + b[0] * sag
-    imaginary = b[0] * m0 + b[2] * m2 - a[1] * m1 - a[3] * m3 - a[0] * sag
-    s, c = math.sin(middle), math.cos(middle)
-    return c * real + s * imaginary, c * imaginary - s * real
+        for node, weight in zip(_NODES, _WEIGHTS):  # noqa: B905 - the compiler knows no strict
+            p, q = 0.5 * (1.0 - node), 0.5 * (1.0 + node)
+            a, b, c = p * w[i] + q * w[i + 1], p * y[i] + q * y[i + 1], p * z[i] + q * z[i + 1]
+            sine, cosine = sine_cosine(p * psi[i] + q * psi[i + 1] + bend[i] * (1.0 - node * node))
+            along, across = b * cosine + c * sine, c * cosine - b * sine  # zeta exp(-i psi)
+            each = 0.5 * weight * h[i] * a
+            out[0, i] += each * (b * b + c * c)
+            out[1, i] += each * (along * along - across * across)
+            out[2, i] -= 2.0 * each * along * across
+            out[3, i] += each * a * along
+            out[4, i] += each * a * across
 
 
 @kernel

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from piga._kernels.motion.servo import Inputs, derivative, friction, wheel
+from piga._kernels.motion.servo import derivative, friction, wheel
 from piga.frames import axis_turn
 from piga.instrument.twin.linear import (
     open_loop,
@@ -63,7 +63,7 @@ def torques() -> tuple[float, float]:
 def motion() -> np.ndarray:
     """Derivative of the state, from the library."""
     out = np.empty(5)
-    derivative(P, TIME, STATE, Inputs(*FORCE, *OMEGA, *OMEGA_RATE, 0.0, 0.0, 0.0), out)
+    derivative(P, TIME, STATE, np.array([*FORCE, *OMEGA, 0.0, 0.0, 0.0, *OMEGA_RATE]), out)
     return out
 
 

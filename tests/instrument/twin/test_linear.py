@@ -35,7 +35,7 @@ def jacobian(p):
             x, out = np.zeros(5), np.zeros(5)
             x[1] = p.pick_off_null
             x[column + 1] += sign * 1e-6
-            servo.derivative(constants, 0.0, x, servo.Inputs(*np.zeros(9), 0.0, 0.0, 0.0), out)
+            servo.derivative(constants, 0.0, x, np.zeros(12), out)
             matrix[:, column] += sign * out[1:] / 2e-6
     return matrix
 

@@ -75,7 +75,7 @@ def test_equations_are_those_of_a_rigid_body(seed):
     state[1] = RICH.pick_off_null + rng.uniform(-5e-3, 5e-3)
     f, omega, omega_rate = rng.normal(size=3) * 10, rng.normal(size=3) * 0.1, rng.normal(size=3) * 0.1
     out = np.zeros(5)
-    servo.derivative(RICH.constants(), 0.3, state, servo.Inputs(*f, *omega, *omega_rate, 0.0, 0.0, 0.0), out)
+    servo.derivative(RICH.constants(), 0.3, state, np.array([*f, *omega, 0.0, 0.0, 0.0, *omega_rate]), out)
     expected = accelerations(RICH, 0.3, state, f, omega, omega_rate)
     assert out[2:4] == pytest.approx(expected, rel=1e-11, abs=1e-7)
     assert out[:2] == pytest.approx([state[2], state[3]])
@@ -128,7 +128,7 @@ def test_ten_seconds_against_scipy(method):
     constants, out = p.constants(), np.zeros(5)
 
     def rhs(time, x):
-        servo.derivative(constants, time, x, servo.Inputs(*f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), out)
+        servo.derivative(constants, time, x, np.array([*f[0], *omega[0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), out)
         return out.copy()
 
     start = np.array([p.alpha0, p.pick_off_null, 0.0, 0.0, 0.0])

@@ -71,32 +71,6 @@ def _stop_torque(p: ServoConstants, beta: float, v: float) -> float:
     return 0.0
 
 
-class Inputs(NamedTuple):
-    """Specific force [m/s^2], base rate [rad/s], its rate of change, and noise of both torques and the pick-off."""
-
-    a_x: float
-    a_Y: float
-    a_Z: float
-    o_x: float
-    o_Y: float
-    o_Z: float
-    do_x: float
-    do_Y: float
-    do_Z: float
-    n_x: float
-    n_y: float
-    n_e: float
-
-
-class Nodes(NamedTuple):
-    """Times (n,) [s], specific force (n, 3), base rate (n, 3) and noise (n, 3) at the nodes."""
-
-    t: Array
-    f: Array
-    o: Array
-    noise: Array
-
-
 class Method(NamedTuple):
     """Coefficients of the Runge-Kutta method: stages, weights, nodes and both error estimates."""
 
@@ -108,9 +82,16 @@ class Method(NamedTuple):
 
 
 @kernel
-def derivative(p: ServoConstants, t: float, x: Array, inputs: Inputs, out: Array) -> None:
-    """Write the time derivative of the state ``x`` into ``out``."""
-    a_x, a_Y, a_Z, o_x, o_Y, o_Z, do_x, do_Y, do_Z, n_x, n_y, n_e = inputs
+def derivative(p: ServoConstants, t: float, x: Array, inputs: Array, out: Array) -> None:
+    """Write the time derivative of the state ``x`` into ``out``.
+
+    ``inputs`` (12,): specific force [m/s^2], base rate [rad/s], noise of both torques and the pick-off, rate of change of the
+    base rate; three each.
+    """
+    a_x, a_Y, a_Z = inputs[0], inputs[1], inputs[2]
+    o_x, o_Y, o_Z = inputs[3], inputs[4], inputs[5]
+    n_x, n_y, n_e = inputs[6], inputs[7], inputs[8]
+    do_x, do_Y, do_Z = inputs[9], inputs[10], inputs[11]
     alpha, beta, w, v, z = x[0], x[1], x[2], x[3], x[4]
     sa, ca = math.sin(alpha), math.cos(alpha)
     sb, cb = math.sin(beta), math.cos(beta)
@@ -147,26 +128,17 @@ def derivative(p: ServoConstants, t: float, x: Array, inputs: Inputs, out: Array
 
 
 @kernel
-def at(
-    p: ServoConstants, x: Array, drive: Nodes, i: int, now: float, s: float, span: float, out: Array
+def _between(
+    p: ServoConstants, x: Array, t: Array, nodes: Array, i: int, now: float, inputs: Array, out: Array
 ) -> None:
-    """Derivative ``now`` after node ``i``, at fraction ``s`` of the interval (inputs linear, noise held)."""
-    f, o, noise, k = drive.f, drive.o, drive.noise, i + 1
-    inputs = Inputs(
-        f[i, 0] + s * (f[k, 0] - f[i, 0]),
-        f[i, 1] + s * (f[k, 1] - f[i, 1]),
-        f[i, 2] + s * (f[k, 2] - f[i, 2]),
-        o[i, 0] + s * (o[k, 0] - o[i, 0]),
-        o[i, 1] + s * (o[k, 1] - o[i, 1]),
-        o[i, 2] + s * (o[k, 2] - o[i, 2]),
-        (o[k, 0] - o[i, 0]) / span,
-        (o[k, 1] - o[i, 1]) / span,
-        (o[k, 2] - o[i, 2]) / span,
-        noise[i, 0],
-        noise[i, 1],
-        noise[i, 2],
-    )
-    derivative(p, drive.t[i] + now, x, inputs, out)
+    """Derivative ``now`` [s] after node ``i``; ``inputs`` (12,) is room."""
+    span = t[i + 1] - t[i]
+    for j in range(6):
+        inputs[j] = nodes[i, j] + now / span * (nodes[i + 1, j] - nodes[i, j])
+    for j in range(3):
+        inputs[6 + j] = nodes[i, 6 + j]
+        inputs[9 + j] = (nodes[i + 1, 3 + j] - nodes[i, 3 + j]) / span
+    derivative(p, t[i] + now, x, inputs, out)
 
 
 @kernel
@@ -190,54 +162,38 @@ def _error_ratio(K: Array, E3: Array, E5: Array, h: float, tolerance: Array) -> 
 
 
 @kernel
-def _try_step(
-    p: ServoConstants,
-    x: Array,
-    drive: Nodes,
-    place: tuple[int, float, float, float],
-    method: Method,
-    K: Array,
-    y: Array,
-) -> None:
-    """One step from ``x``: stages into ``K``, new state into ``y``.
-
-    ``place``: node, time done after it, step and interval [s].
-    """
-    i, done, step, span = place
-    for s in range(1, _STAGES + 1):
-        for j in range(STATES):
-            total = 0.0
-            for m in range(s):
-                total += (method.tableau[s, m] if s < _STAGES else method.weights[m]) * K[m, j]
-            y[j] = x[j] + step * total
-        now = done + (method.nodes[s] if s < _STAGES else 1.0) * step
-        at(p, y, drive, i, now, now / span, span, K[s])
-
-
-@kernel
 def integrate(
-    p: ServoConstants, drive: Nodes, x: Array, h: float, tolerance: Array, method: Method, out: Array
+    p: ServoConstants, t: Array, nodes: Array, x: Array, h: float, tolerance: Array, method: Method, out: Array
 ) -> tuple[float, int, int]:
     """Integrate from node to node; ``out[i]`` is the state at ``t[i]``; ``x`` is start and end state.
 
-    Returns the sum of the local errors of alpha [rad], the number of steps
+    ``nodes`` (n, 9): specific force [m/s^2] and base rate [rad/s], linear between nodes; noise of both torques [N m] and the
+    pick-off [rad]. Returns the sum of the local errors of alpha [rad], the number of steps
     taken, and the node after which the step became smaller than 1e-13 of the interval or ``_MAX_TRIES``
     steps did not reach the next node (else -1).
     """
-    t = drive.t
     K = np.empty((_STAGES + 1, STATES))
-    y = np.empty(STATES)
+    y, inputs = np.empty(STATES), np.empty(12)
     total_error, steps = 0.0, 0
     for j in range(STATES):
         out[0, j] = x[j]
     for i in range(t.shape[0] - 1):
         span, done, tries = t[i + 1] - t[i], 0.0, 0
-        at(p, x, drive, i, 0.0, 0.0, span, K[0])
+        _between(p, x, t, nodes, i, 0.0, inputs, K[0])
         while done < span:
             rest = span - done
             step = rest if h >= rest else (0.5 * rest if 2.0 * h > rest else h)
             tries += 1
-            _try_step(p, x, drive, (i, done, step, span), method, K, y)
+            for s in range(1, _STAGES + 1):
+                weights = method.tableau[s] if s < _STAGES else method.weights
+                for j in range(STATES):
+                    total = 0.0
+                    for m in range(s):
+                        total += weights[m] * K[m, j]
+                    y[j] = x[j] + step * total
+                _between(
+                    p, y, t, nodes, i, done + (method.nodes[s] if s < _STAGES else 1.0) * step, inputs, K[s]
+                )
             ratio, alpha_error = _error_ratio(K, method.E3, method.E5, step, tolerance)
             factor = 5.0 if ratio < 1e-7 else min(5.0, max(0.2, 0.9 * ratio ** (-0.125)))
             if ratio <= 1.0:

@@ -127,9 +127,9 @@ def _run(
 ) -> tuple[Array, float, int]:
     states, fast = np.empty((t.size, servo.STATES)), p.nutation
     step, tolerance = min(float(t[1] - t[0]), 0.5 / fast), accuracy * np.array([1.0, 1.0, fast, fast, 1.0])
-    drive = servo.Nodes(t, f, base_rate, noise)
+    nodes = np.hstack((f, base_rate, noise))
     error, steps, failed = servo.integrate(
-        p.constants(), drive, start.copy(), step, tolerance, _tableau(), states
+        p.constants(), t, nodes, start.copy(), step, tolerance, _tableau(), states
     )
     if failed >= 0:
         raise PigaError(
