@@ -148,15 +148,14 @@ def inline(function: F) -> F:
     return _compiled(function, {"contract"}, forceinline=True, _nrt=False)
 
 
-def exact(function: F) -> F:
-    """Compile arithmetic whose rounding errors are part of the method: nothing is contracted.
+def lean(function: F) -> F:
+    """Compile a function that makes no array, and returns none to a :func:`kernel`: no references are counted.
 
-    It makes no array, and returns none to a :func:`kernel`. So no references are counted: that took two thirds of the time of a
-    compensation.
+    That took two thirds of the time of a compensation.
     """
+    return _compiled(function, {"contract"}, _nrt=False)
+
+
+def exact(function: F) -> F:
+    """Like :func:`lean`, for arithmetic whose rounding errors are part of the method: nothing is contracted."""
     return _compiled(function, False, _nrt=False)
-
-
-def inline_exact(function: F) -> F:
-    """Like :func:`exact`, and inlined: a scalar step of a loop, whose named tuples then need no memory."""
-    return _compiled(function, False, forceinline=True, _nrt=False)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.text.reader import is_number
-from piga.records.arrays import ColumnWriter, scaled, stored, taken
+from piga.records.arrays import ColumnWriter, largest_size, scaled, stored, taken
 from piga.records.calibration.diagnostics import Event, counted
 from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.records.run import segments_of_visits
@@ -246,6 +246,8 @@ def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
     """Refuse numbers that no instrument gives and whose squares overflow. Non-finite values are counted elsewhere."""
     values = chunk.numbers[name]
+    if values.size == 0 or largest_size(values) <= LARGEST_SAMPLE:
+        return
     bad = np.flatnonzero((np.abs(values) > LARGEST_SAMPLE) & (np.abs(values) < np.inf))
     if bad.size:
         row = int(chunk.rows[bad[0]])

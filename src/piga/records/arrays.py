@@ -115,8 +115,8 @@ class ColumnWriter:
         self._stream: Any = None
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows: in memory, above LARGE_BYTES in a file without a name."""
-        self._parts.append(np.array(values, self._dtype))
+        """Append rows: in memory (``values`` must not change then), above LARGE_BYTES in a file without a name."""
+        self._parts.append(np.ascontiguousarray(values, self._dtype))
         self._bytes += self._parts[-1].nbytes
         if self._bytes > LARGE_BYTES:
             with _room():

@@ -45,7 +45,7 @@ from piga._kernels.compensation.terms import (
     see_vibration,
     uncertainty,
 )
-from piga._kernels.jit import Array, exact, inline_exact
+from piga._kernels.jit import Array, inline, lean
 from piga._kernels.motion.step import advance, magnus_increments, unwrapped
 
 _FAR_TURN = 0.25
@@ -84,7 +84,7 @@ class Spacing(NamedTuple):
     ahead: float
 
 
-@inline_exact
+@inline
 def spacing(h: float, past: Past) -> Spacing:
     """The intervals around a row."""
     h1, h2 = past.h1, past.h2
@@ -94,7 +94,7 @@ def spacing(h: float, past: Past) -> Spacing:
     return Spacing(h, 1.0 / h, 1.0 / h1, 2.0 / (h + h1), ahead)
 
 
-@inline_exact
+@inline
 def transverse(p: Instrument, now: Sample) -> tuple[float, float]:
     """Transverse input ``tan_beta u_Y``, ``tan_beta u_Z`` with the first harmonic [rad/s]."""
     return (
@@ -103,7 +103,7 @@ def transverse(p: Instrument, now: Sample) -> tuple[float, float]:
     )
 
 
-@inline_exact
+@inline
 def change_over(u: float, before: tuple[float, float, float], gap: Spacing, past: Past) -> tuple[float, float]:
     """Change of an input over an interval from its mean ``u`` there and the means ``before``, latest first; its possible error.
 
@@ -126,7 +126,7 @@ def change_over(u: float, before: tuple[float, float, float], gap: Spacing, past
     return value + 0.5 * second + third, third
 
 
-@inline_exact
+@inline
 def solve_small(delta: float, square: float, coupling: float) -> tuple[float, float]:
     """``e = A - 2 delta`` for small turns and ``sin(delta)/delta``, minus its derivative by the coupling.
 
@@ -145,7 +145,7 @@ def solve_small(delta: float, square: float, coupling: float) -> tuple[float, fl
     return e, gain
 
 
-@exact
+@lean
 def solve_far(delta: float, square: float, coupling: float) -> float:
     """``e = A - 2 delta`` for any turn and any regime: Newton's method on the equation times ``sin q / q``."""
     sine, cosine = math.sin(delta), math.cos(delta)
@@ -173,7 +173,7 @@ def solve_far(delta: float, square: float, coupling: float) -> float:
     return A - 2.0 * delta
 
 
-@inline_exact
+@inline
 def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tuple[float, float]:
     """Integral A of ``u_x`` [rad] over an interval with constant input, and ``sin(delta)/delta``; ``s``, ``c`` in the middle."""
     square, coupling = Y * Y + Z * Z, Y * s - Z * c
@@ -184,7 +184,7 @@ def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tupl
     return 2.0 * delta + e, gain
 
 
-@inline_exact
+@inline
 def _mean_along(past: Past, gap: Spacing, x: Row) -> tuple[float, float, float]:
     """Mean ``u_x`` of an interval, its change, and the mean for constant input [rad/s].
 
@@ -201,7 +201,7 @@ def _mean_along(past: Past, gap: Spacing, x: Row) -> tuple[float, float, float]:
     return (A - (gain * bent + cross * (y * dz - z * dy))) * gap.per, rise, a
 
 
-@inline_exact
+@inline
 def bow(gap: Spacing, x0: float, x1: float, x2: float, bend_before: float) -> tuple[float, float, float]:
     """Mean of an input over an interval less the mean of both ends, its standard uncertainty, and its second derivative.
 
@@ -219,14 +219,14 @@ def bow(gap: Spacing, x0: float, x1: float, x2: float, bend_before: float) -> tu
     return bow_of(gap.h, taken), gap.h * gap.h * size * (1.0 / 12.0), bend
 
 
-@inline_exact
+@inline
 def _bow_share(half: float) -> float:
     """Weight of a parabola over the angle: ``3 j_1(x)/x`` with ``x`` half the angle turned (its series, 3e-4 at x = 3)."""
     x = min(half * half, _SERIES)
     return 1.0 - x * (1 / 10 - x * (1 / 280 - x * (1 / 15120 - x / 1330560)))
 
 
-@inline_exact
+@inline
 def read_interval(p: Instrument, past: Past, now: Sample, gap: Spacing, x: Row) -> tuple[float, float]:
     """The interval that ends at a sample of the angle: its row but for the force. Returns the bows of ``y`` and ``z`` [rad/s]."""
     y, z = transverse(p, now)
@@ -253,7 +253,7 @@ def read_interval(p: Instrument, past: Past, now: Sample, gap: Spacing, x: Row) 
     return bow_y, bow_z
 
 
-@inline_exact
+@inline
 def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float, h: float, x: Row) -> None:
     """A sample of the rate, ``h`` [s] after the last one, with its angle: its row but for the force.
 
@@ -271,7 +271,7 @@ def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float
     keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
 
 
-@inline_exact
+@inline
 def _doubt_of_interval(per_K: float, past: Past, force: float, slope: float, x: Row) -> float:
     """Uncertainty of the mean force of an interval by the motion between samples [m/s^2].
 
@@ -292,7 +292,7 @@ def _doubt_of_interval(per_K: float, past: Past, force: float, slope: float, x: 
     return max(here, FADING * past.doubt)
 
 
-@inline_exact
+@inline
 def _indicate_interval(p: Instrument, past: Past, now: Sample, h: float, x: Row) -> tuple[float, float]:
     """Indicated mean force over the interval that ends at a sample of the angle, and ``h^2 u_x'`` [rad]."""
     gap, per_K = spacing(h, past), p.per_K
@@ -310,7 +310,7 @@ def _indicate_interval(p: Instrument, past: Past, now: Sample, h: float, x: Row)
     return force, bend
 
 
-@inline_exact
+@inline
 def keep_interval(past: Past, h: float, u: float, u_x: float, slope: float, doubt: float) -> None:
     """Keep what the next interval needs of this one."""
     past.h3, past.h2, past.h1 = past.h2, past.h1, h
@@ -318,7 +318,7 @@ def keep_interval(past: Past, h: float, u: float, u_x: float, slope: float, doub
     past.u_x, past.slope, past.doubt = u_x, slope, doubt
 
 
-@inline_exact
+@inline
 def keep_bends(past: Past, now: Sample, y: float, z: float, bends: tuple[float, float, float]) -> None:
     """Keep the inputs of the last two samples and their second derivatives (of Omega_x, y and z)."""
     past.bend_x, past.bend_y, past.bend_z = bends
@@ -326,7 +326,7 @@ def keep_bends(past: Past, now: Sample, y: float, z: float, bends: tuple[float, 
     past.Omega_x, past.y, past.z = now.Omega_x, y, z
 
 
-@inline_exact
+@inline
 def keep_sample(past: Past, now: Sample, psi: float, phi: float, a_x: float) -> None:
     """Keep the sample itself and the force."""
     past.seen, past.t, past.phi, past.a_x = 1.0, now.t, phi, a_x
@@ -335,7 +335,7 @@ def keep_sample(past: Past, now: Sample, psi: float, phi: float, a_x: float) -> 
     past.Omega_Y, past.Omega_Z, past.vibration = now.Omega_Y, now.Omega_Z, now.vibration
 
 
-@exact
+@lean
 def _follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[float, float]:
     """Turns and rest of the angle of a rate log, by the exact motion over the interval that ends at a sample.
 
@@ -358,7 +358,7 @@ def _follow_rate(p: Instrument, past: Past, now: Sample, h: float) -> tuple[floa
     return end_turns, end
 
 
-@inline_exact
+@inline
 def _indicate_sample(
     p: Instrument, past: Past, now: Sample, h: float, recorded: bool, x: Row
 ) -> tuple[float, float]:
@@ -373,7 +373,7 @@ def _indicate_sample(
     return (u_x + now.Omega_x) * p.per_K, psi
 
 
-@inline_exact
+@inline
 def _compensate_sample(
     p: Instrument,
     more: Covariance,
@@ -459,7 +459,7 @@ class Rows(NamedTuple):
     sums: Array
 
 
-@exact
+@lean
 def compensate_record(
     samples: Samples,
     instrument: Any,

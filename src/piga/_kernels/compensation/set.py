@@ -43,7 +43,7 @@ from piga._kernels.compensation.terms import (
     size_mean,
     uncertainty,
 )
-from piga._kernels.jit import Array, exact
+from piga._kernels.jit import Array, lean
 
 _EXACT_ROUNDS = 4
 """Rounds of intervals, the linear one first; each reduces the misfit by more than 1e4."""
@@ -136,13 +136,13 @@ def empty_solution(count: int) -> Solution:
     return Solution(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros(2), rows, regressors)
 
 
-@exact
+@lean
 def _covariance_of(of: Instruments, i: int) -> Covariance:
     """Harmonics and covariance factor of one instrument."""
     return Covariance(of.orders[i], of.sines[i], of.cosines[i], of.codes[i], of.factors[i])
 
 
-@exact
+@lean
 def _read_row(of: Instruments, i: int, past: Past, now: Sample, h: float, sampled: bool, x: Row) -> None:
     """The row of an instrument without the force, its effective axis and its harmonics."""
     p, axes = of.each[i], of.axes[i]
@@ -162,7 +162,7 @@ def _read_row(of: Instruments, i: int, past: Past, now: Sample, h: float, sample
     x.harmonics = harmonics(_covariance_of(of, i), x, 0.0) if of.orders.shape[1] else 0.0
 
 
-@exact
+@lean
 def _turned(axes: Array, v: Array) -> tuple[float, float, float]:
     """A vector of the common frame in the axes of an instrument."""
     return (
@@ -172,7 +172,7 @@ def _turned(axes: Array, v: Array) -> tuple[float, float, float]:
     )
 
 
-@exact
+@lean
 def _take_force(p: Instrument, axes: Array, solution: Solution, x: Row) -> None:
     """Force, its change over the interval and the transverse input of an instrument, from the solution."""
     x.a_x, x.a_Y, x.a_Z = _turned(axes, solution.f)
@@ -180,7 +180,7 @@ def _take_force(p: Instrument, axes: Array, solution: Solution, x: Row) -> None:
     x.y, x.z = p.coupling * x.a_Y + x.base_y, p.coupling * x.a_Z + x.base_z
 
 
-@exact
+@lean
 def _model_error(p: Instrument, x: Row) -> None:
     """Error model at the force, the difference of the indicated force and ``a_x``, and its change over the interval."""
     x.error, x.derror = x.harmonics, 0.0
@@ -197,7 +197,7 @@ def _model_error(p: Instrument, x: Row) -> None:
     x.derror = rise + p.k0_t * x.h + (p.k0_T + p.k1_T * a) * x.dT
 
 
-@exact
+@lean
 def _misfit_of(p: Instrument, x: Row, sampled: bool, linear: bool) -> float:
     """Misfit of the exact equation of an interval, or of a sample [m/s^2]; ``linear``: that of an interval at zero force."""
     if linear:
@@ -213,7 +213,7 @@ def _misfit_of(p: Instrument, x: Row, sampled: bool, linear: bool) -> float:
     return (A - (h * a + cross * (y * dz - z * dy))) * x.per * p.per_K
 
 
-@exact
+@lean
 def _invert_normal(rows: Any, n: Array) -> None:
     """The inverse ``n`` of the weighted normal matrix of the effective axes."""
     xx = xy = xz = yy = yz = zz = 0.0
@@ -230,7 +230,7 @@ def _invert_normal(rows: Any, n: Array) -> None:
     n[1, 2] = n[2, 1] = (xy * xz - xx * yz) * per
 
 
-@exact
+@lean
 def _solve_row(
     of: Instruments, gap: Spacing, sampled: bool, past: Past, early: Array, solution: Solution
 ) -> None:
@@ -265,7 +265,7 @@ def _solve_row(
         _take_force(of.each[i], of.axes[i], solution, rows[i])
 
 
-@exact
+@lean
 def _doubt_of(p: Instrument, axes: Array, past: Past, solution: Solution, x: Row) -> float:
     """Uncertainty of an instrument's equation by the motion between samples [m/s^2], as that of one instrument.
 
@@ -286,7 +286,7 @@ def _doubt_of(p: Instrument, axes: Array, past: Past, solution: Solution, x: Row
     return max(x.left * p.per_K + force, FADING * past.doubt)
 
 
-@exact
+@lean
 def compensate_set(
     samples: SetSamples,
     of: Instruments,
@@ -340,7 +340,7 @@ def compensate_set(
             keep_interval(past, h, 0.0, 0.0, 0.0, kept)
 
 
-@exact
+@lean
 def _weigh(of: Instruments, sampled: bool, wanted: bool, pasts: Any, solution: Solution) -> None:
     """Weight ``1/u^2`` of each instrument from the uncertainty of its indication, dead zone included; 1 if u is not known."""
     for i in range(of.each.size):
@@ -354,7 +354,7 @@ def _weigh(of: Instruments, sampled: bool, wanted: bool, pasts: Any, solution: S
         x.weight = 1.0 if math.isnan(u) else 1.0 / max(u, _SMALLEST_U) ** 2
 
 
-@exact
+@lean
 def _add_velocities(of: Instruments, solution: Solution, sums: Array) -> None:
     """Add the row to the sums of each instrument and component; the gain is how its indication moves the component."""
     for i in range(of.each.size):
@@ -366,7 +366,7 @@ def _add_velocities(of: Instruments, solution: Solution, sums: Array) -> None:
             add_to_velocity(sums[i, axis], of.codes.shape[1], solution.regressors[i], x, gain, abs(gain) * dead)
 
 
-@exact
+@lean
 def _write_row(
     j: int, h: float, solved: bool, sampled: bool, solution: Solution, before: Array, rows: SetRows
 ) -> None:
@@ -382,7 +382,7 @@ def _write_row(
     rows.residual[j] = math.sqrt(solution.sums[0]) if solved else math.nan
 
 
-@exact
+@lean
 def _flag_row(
     j: int, h: float, solved: bool, base_flag: int, threshold: float, warm: bool, of: Instruments, solution: Solution,
     rows: SetRows,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.data import Covariance, Instrument, Past, Row
 from piga._kernels.estimation import half_angle_moments
-from piga._kernels.jit import Array, exact, inline_exact
+from piga._kernels.jit import Array, inline, lean
 
 NEAR = 1.25
 """Near-critical: ``|a_x|`` below this multiple of ``a_t tan(beta)``."""
@@ -26,7 +26,7 @@ _ITERATIONS, _ROUNDING = 6, 1e-16
 TWELFTH = 1.0 / 12.0
 
 
-@exact
+@lean
 def harmonics(more: Covariance, x: Row, bend: float) -> float:
     """Second and higher harmonics of the output angle [m/s^2]; their mean over an interval by Filon's rule.
 
@@ -42,7 +42,7 @@ def harmonics(more: Covariance, x: Row, bend: float) -> float:
     return total
 
 
-@exact
+@lean
 def _odd_square_mean(a: float, change: float) -> float:
     """Mean of ``a|a|`` while a goes linearly from ``a - change/2`` to ``a + change/2``."""
     start, end = a - 0.5 * change, a + 0.5 * change
@@ -51,7 +51,7 @@ def _odd_square_mean(a: float, change: float) -> float:
     return (abs(end) ** 3 - abs(start) ** 3) / (3.0 * change)
 
 
-@exact
+@lean
 def size_mean(a: float, change: float) -> float:
     """Mean of ``|a|`` while a goes linearly from ``a - change/2`` to ``a + change/2``."""
     if abs(a) >= 0.5 * abs(change):
@@ -59,7 +59,7 @@ def size_mean(a: float, change: float) -> float:
     return a * a / abs(change) + 0.25 * abs(change)
 
 
-@exact
+@lean
 def _servo_error(p: Instrument, x: Row) -> float:
     """Contribution of the servo to the indicated force [m/s^2].
 
@@ -74,7 +74,7 @@ def _servo_error(p: Instrument, x: Row) -> float:
     return -x.v * (p.servo * (steady - twice * turning) + p.servo_damping * x.v * once * along)
 
 
-@inline_exact
+@inline
 def error_without_powers(p: Instrument, x: Row) -> tuple[float, float]:
     """The error model but for powers of ``a_x``: the part without ``a_x`` [m/s^2], and what multiplies ``a_x``."""
     y, z, dy, dz = x.a_Y, x.a_Z, x.da_Y, x.da_Z
@@ -88,7 +88,7 @@ def error_without_powers(p: Instrument, x: Row) -> tuple[float, float]:
     return apart, p.k1 + p.k_XY * y + p.k_XZ * z + p.k1_T * x.temperature
 
 
-@inline_exact
+@inline
 def invert_terms(p: Instrument, x: Row, indicated: float) -> tuple[float, float]:
     """Specific force ``a_x`` from the indicated force, to rounding, and the derivative of one by the other.
 
@@ -115,7 +115,7 @@ def invert_terms(p: Instrument, x: Row, indicated: float) -> tuple[float, float]
     return a, 1.0 / derivative
 
 
-@inline_exact
+@inline
 def _fill_regressors(codes: NDArray, p: Instrument, x: Row, work: Array) -> None:
     """Derivatives of the indicated force by the coefficients with these codes."""
     a, y, z, per_K = x.a_x, x.a_Y, x.a_Z, p.per_K
@@ -139,7 +139,7 @@ def _fill_regressors(codes: NDArray, p: Instrument, x: Row, work: Array) -> None
             work[k] = math.sin(angle) if code % 2 == 0 else math.cos(angle)
 
 
-@inline_exact
+@inline
 def uncertainty(p: Instrument, more: Covariance, x: Row, derivative: float, dead: float, work: Array) -> float:
     """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, rectification, noise of the output, motion between samples, dead zone.
 
@@ -156,7 +156,7 @@ def uncertainty(p: Instrument, more: Covariance, x: Row, derivative: float, dead
     return math.sqrt((variance + noise + x.doubt * x.doubt) * derivative * derivative + dead * dead)
 
 
-@inline_exact
+@inline
 def dead_zone(p: Instrument, x: Row) -> float:
     """Standard uncertainty of ``a_x`` by the dead zone [m/s^2]; 0 far from it."""
     square = p.tan_beta * p.tan_beta * (x.a_Y * x.a_Y + x.a_Z * x.a_Z)
@@ -172,7 +172,7 @@ SUMS = at.MOST_TERMS + 6
 """Places and number of the sums for the uncertainty of a velocity; before them those of the coefficients."""
 
 
-@inline_exact
+@inline
 def add_to_velocity(sums: Array, count: int, work: Array, x: Row, gain: float, dead: float) -> None:
     """Add a row to the sums over rows from which the uncertainty of the velocity follows.
 
@@ -192,7 +192,7 @@ def add_to_velocity(sums: Array, count: int, work: Array, x: Row, gain: float, d
         sums[STRETCHES] += 1.0
 
 
-@inline_exact
+@inline
 def flags_of(p: Instrument, x: Row, warm: bool) -> int:
     """Validity of a row. ``warm``: the temperature is recorded."""
     a, across = x.a_x, x.a_Y * x.a_Y + x.a_Z * x.a_Z
@@ -231,7 +231,7 @@ LEAST = 1e-6
 """Change of the mean from which a vibration is flagged [m/s^2]."""
 
 
-@inline_exact
+@inline
 def near_nyquist(first: float, second: float, noise: float) -> float:
     """Variance of a vibration near the Nyquist frequency [m^2/s^4]; 0 where there is none, or noise alone.
 
@@ -244,7 +244,7 @@ def near_nyquist(first: float, second: float, noise: float) -> float:
     return WHITE * (second / first - FAST) / (FULL - FAST) * second
 
 
-@inline_exact
+@inline
 def see_vibration(
     p: Instrument, past: Past, a_Y: float, a_Z: float, steady: bool, sampled: bool, row: Row
 ) -> None:
