@@ -111,12 +111,12 @@ def _of_one_run(run: Run, request: Request, steps: Steps) -> Calibration:
     """Calibration of one run; of whole turns, if the method asks for them: from their ends."""
     if request.method != "revolutions":
         return _calibration(_fitted(run, request, steps), steps)
-    turns = whole_turns(run, request)
-    own = make_request(turns.run, turns.terms, "information", "per-segment", "output", ())
-    result = _calibration(_fitted(turns.run, own, steps), steps)
+    turns, terms, outliers = whole_turns(run, request)
+    own = make_request(turns, terms, "information", "per-segment", "output", ())
+    result = _calibration(_fitted(turns, own, steps), steps)
     words = "whole turns average the coupling out: tan_beta is not in the result; use method 'information'"
     notes = (words, *result.notes) if "tan_beta" in request.terms else result.notes
-    return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=turns.outliers)
+    return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=outliers)
 
 
 def _fitted(run: Run, request: Request, steps: Steps) -> JointFit:

@@ -8,7 +8,9 @@ records then takes the turns. The method does not use the angle within the turns
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -34,17 +36,16 @@ _FEWEST_TURNS = 3
 """Fewest turns beyond one for each position."""
 
 
-@dataclass(frozen=True)
-class _WholeTurns:
-    """The record at the ends of whole turns, the terms that it determines, and outliers of the record itself."""
+_WHY = {
+    "no-whole-revolution": "the output does not turn once",
+    "force-not-constant": "the specific force changes while the output turns",
+    "near-lock": f"the lock zone is above {_LOCKING:g} of the drive",
+}
+"""Why a position is left out, by kind of the event."""
 
-    run: Run
-    terms: tuple[str, ...]
-    outliers: tuple[Outlier, ...]
 
-
-def whole_turns(run: Run, request: Request) -> _WholeTurns:
-    """The record at the ends of whole turns of every position.
+def whole_turns(run: Run, request: Request) -> tuple[Run, tuple[str, ...], tuple[Outlier, ...]]:
+    """The record at the ends of whole turns of every position, its terms, and outliers of the record itself.
 
     Raises
     ------
@@ -68,9 +69,13 @@ def whole_turns(run: Run, request: Request) -> _WholeTurns:
             "method 'revolutions' averages the coupling out and needs a term besides tan_beta",
             remedy="add scale_factor, k0, or use method 'information'",
         )
-    run, outliers = _without_outliers(run, request)
+    wish = replace(request, method="information", phases="per-segment", phase_source="output")
+    outliers: tuple[Outlier, ...] = ()
+    with suppress(CalibrationError, IdentifiabilityError):
+        fit = fit_run(run, wish)
+        run, outliers = fit.design.run, fit.outliers
     positions: list[tuple[int, slice, Array, float]] = []
-    left_out: dict[str, list[str]] = {"no-whole-revolution": [], "force-not-constant": [], "near-lock": []}
+    left_out: dict[str, list[str]] = {kind: [] for kind in _WHY}
     for index, label in enumerate(run.labels):
         stretch = _longest_stretch(run, index)
         position = _position(run, stretch)
@@ -86,20 +91,19 @@ def whole_turns(run: Run, request: Request) -> _WholeTurns:
             + (f"; not one in {', '.join(short[:6])}" if short else ""),
             remedy="record longer, name the positions in [data] segment, or use method 'information'",
         )
-    quality = replace(run.quality, events=(*run.quality.events, *_events(left_out)))
+    events = [
+        Event(
+            kind,
+            len(labels),
+            None,
+            f"positions {', '.join(labels[:8])}{' ...' * (len(labels) > 8)}: {_WHY[kind]}; left out",
+        )
+        for kind, labels in left_out.items()
+        if labels
+    ]
+    quality = replace(run.quality, events=(*run.quality.events, *events))
     model = msgspec.structs.replace(run.model, compare=())
-    turned = replace(_run_of_turns(run, positions), quality=quality, model=model)
-    return _WholeTurns(turned, terms, outliers)
-
-
-def _without_outliers(run: Run, request: Request) -> tuple[Run, tuple[Outlier, ...]]:
-    """The record without gross errors of the output, found as in method 'information', and the list of them."""
-    wish = replace(request, method="information", phases="per-segment", phase_source="output")
-    try:
-        fit = fit_run(run, wish)
-    except (CalibrationError, IdentifiabilityError):
-        return run, ()
-    return fit.design.run, fit.outliers
+    return replace(_run_of_turns(run, positions), quality=quality, model=model), terms, outliers
 
 
 def _longest_stretch(run: Run, segment: int) -> slice:
@@ -144,20 +148,19 @@ def _run_of_turns(run: Run, positions: list[tuple[int, slice, Array, float]]) ->
     """An angle log with one sample for each end of a turn; force, base rate and temperature are means over the position."""
     counts = [at.size for *_, at, _ in positions]
 
-    def means(values: Array) -> Array:
-        return np.repeat([values[stretch].mean(axis=0) for _, stretch, *_ in positions], counts, axis=0)
-
     rows = [stretch.start + np.searchsorted(run.t[stretch], at) for _, stretch, at, _ in positions]
+    means: dict[str, Any] = {
+        name: np.repeat([values[stretch].mean(axis=0) for _, stretch, *_ in positions], counts, axis=0)
+        for name in ("f", "base_rate", "temperature", "vibration")
+        if (values := getattr(run, name)) is not None
+    }
     return replace(
         run,
+        **means,
         kind="angle",
         resolution=0.0,
         t=np.concatenate([at for *_, at, _ in positions]),
         output=np.concatenate([turn * np.arange(at.size) for *_, at, turn in positions]),
-        f=np.ascontiguousarray(means(run.f)),
-        base_rate=None if run.base_rate is None else np.ascontiguousarray(means(run.base_rate)),
-        temperature=None if run.temperature is None else means(run.temperature),
-        vibration=None if run.vibration is None else means(run.vibration),
         segment_index=np.repeat(np.arange(len(positions), dtype=np.int32), counts),
         labels=tuple(run.labels[index] for index, *_ in positions),
         begins=np.concatenate([np.arange(count) == 0 for count in counts]),
@@ -165,21 +168,3 @@ def _run_of_turns(run: Run, positions: list[tuple[int, slice, Array, float]]) ->
         row=run.row[np.minimum(np.concatenate(rows), run.size - 1)],
         left_out=None,
     )
-
-
-def _events(left_out: dict[str, list[str]]) -> list[Event]:
-    words = {
-        "no-whole-revolution": "the output does not turn once",
-        "force-not-constant": "the specific force changes while the output turns",
-        "near-lock": f"the lock zone is above {_LOCKING:g} of the drive",
-    }
-    return [
-        Event(
-            kind,
-            len(labels),
-            None,
-            f"positions {', '.join(labels[:8])}{' ...' * (len(labels) > 8)}: {words[kind]}; left out",
-        )
-        for kind, labels in left_out.items()
-        if labels
-    ]

@@ -81,16 +81,51 @@ def find_leverage(
         change = np.zeros(layout.size + estimate.phases.size)
         change[at] = changes[j]
         moved, share = quiet.moved(change)[kept], np.maximum(1.0 - (whole / std[j]) ** 2, 0.0)
-        alone = value[j].max() > 1.0 - _ALONE
+        only = value[j].max() > 1.0 - _ALONE
         table[label] = SegmentLeverage(
             float(value[j].sum()) + local,
             {c.name: float(own) for c, own in zip(common, share, strict=True)},
-            {c.name: None if alone else float(own) / c.std for c, own in zip(common, moved, strict=True)},
+            {c.name: None if only else float(own) / c.std for c, own in zip(common, moved, strict=True)},
         )
-    noise = {c.name: float(own) / c.std for c, own in zip(common, whole, strict=True)}
     named, least = (labels, _INFLUENTIAL) if quiet is fit else (_odd_segments(rows, labels), _MOVED)
-    chosen = {label: table[label] for label in named}
-    return table, _sole_words(table, common), _shift_words(chosen, noise, least)
+    noise = (whole / [c.std for c in common]).tolist()
+    return table, *_in_words(table, common, noise, named, least)
+
+
+def _in_words(
+    table: dict[str, SegmentLeverage],
+    common: list[Coefficient],
+    noise: list[float],
+    named: Sequence[str],
+    least: float,
+) -> tuple[tuple[str, ...], tuple[tuple[float, str], ...]]:
+    """Segments that determine a coefficient alone, and those of ``named`` that move one by more than ``least``, beyond noise.
+
+    ``noise``: the part of the noise in the standard uncertainty of each coefficient.
+    """
+    alone, moving = list[tuple[float, str]](), list[tuple[float, str]]()
+    for label, row in table.items():
+        sole = [c.name for c in common if row.share[c.name] > _DETERMINES]
+        if sole:
+            words = (
+                f"{', '.join(sole)} {'rests' if len(sole) == 1 else 'rest'} on segment '{label}' alone (more than "
+                f"{100.0 * _DETERMINES:.0f} % of the information): no residual shows an error there; "
+                "add a position or level like it"
+            )
+            alone.append((0.0, words))
+        for c, part in zip(common, noise, strict=True):
+            share, shift = row.share[c.name], row.shift[c.name]
+            if label not in named or shift is None or share > _DETERMINES or abs(shift) <= least:
+                continue
+            usual = part * math.sqrt(share / (1.0 - share))
+            if abs(shift) > _UNLIKELY * usual:
+                words = (
+                    f"without segment '{label}' {c.name} changes by {shift:+.1f} standard uncertainties (noise would "
+                    f"explain {usual:.1g}): look at that segment"
+                )
+                moving.append((abs(shift), words))
+    moving.sort(key=lambda item: -item[0])
+    return tuple(words for _, words in _few(alone)), tuple(_few(moving))
 
 
 def _std(fit: JointFit, at: list[int], covariance: Array) -> Array:
@@ -110,49 +145,10 @@ def _odd_segments(rows: Sequence[Array], labels: Sequence[str]) -> tuple[str, ..
     return tuple(label for label, far in zip(labels, odd, strict=True) if far)
 
 
-def _sole_words(table: dict[str, SegmentLeverage], common: list[Coefficient]) -> tuple[str, ...]:
-    """Segments that determine a coefficient alone."""
-    sentences = []
-    for label, row in table.items():
-        sole = [c.name for c in common if row.share[c.name] > _DETERMINES]
-        if sole:
-            verb = "rests" if len(sole) == 1 else "rest"
-            sentences.append(
-                f"{', '.join(sole)} {verb} on segment '{label}' alone (more than "
-                f"{100.0 * _DETERMINES:.0f} % of the information): no residual shows an error there; "
-                "add a position or level like it"
-            )
-    return _few(sentences)
-
-
-def _shift_words(
-    table: dict[str, SegmentLeverage], noise: dict[str, float], least: float
-) -> tuple[tuple[float, str], ...]:
-    """Segments that move a coefficient by more than ``least`` and than noise would, each with the shift.
-
-    ``noise``: the part of the noise in the standard uncertainty of each coefficient.
-    """
-    sentences: list[tuple[float, str]] = []
-    for label, row in table.items():
-        for name, part in noise.items():
-            share, shift = row.share[name], row.shift[name]
-            if shift is None or share > _DETERMINES or abs(shift) <= least:
-                continue
-            usual = part * math.sqrt(share / (1.0 - share))
-            if abs(shift) > _UNLIKELY * usual:
-                words = (
-                    f"without segment '{label}' {name} changes by {shift:+.1f} standard uncertainties (noise would "
-                    f"explain {usual:.1g}): look at that segment"
-                )
-                sentences.append((abs(shift), words))
-    sentences.sort(key=lambda item: -item[0])
-    few = _few([words for _, words in sentences])
-    shifts = [shift for shift, _ in sentences[:_SENTENCES]] + [sentences[0][0] if sentences else 0.0]
-    return tuple(zip(shifts, few, strict=False))
-
-
-def _few(sentences: list[str]) -> tuple[str, ...]:
+def _few(sentences: list[tuple[float, str]]) -> list[tuple[float, str]]:
     """The first sentences, and the number of those left out."""
     more = len(sentences) - _SENTENCES
-    rest = (f"{more} more such remarks: see the leverage of the segments",) if more > 0 else ()
-    return (*sentences[:_SENTENCES], *rest)
+    rest = (
+        [(sentences[0][0], f"{more} more such remarks: see the leverage of the segments")] if more > 0 else []
+    )
+    return sentences[:_SENTENCES] + rest
