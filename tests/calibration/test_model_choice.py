@@ -85,7 +85,7 @@ def test_prediction_as_refits(run, compared):
             missed = y[out] - x[out] @ fitted(x[~out], y[~out])
             squares.append(np.sum(missed**2))
             forces.append(probe[out] @ missed / (probe[out] @ probe[out]) / run.scale_factor)
-        assert one.prediction.per_fold == pytest.approx(squares, rel=1e-7)
+        assert one.prediction.per_part == pytest.approx(squares, rel=1e-7)
         assert one.prediction.force_error == pytest.approx(np.sqrt(np.mean(np.square(forces))), rel=1e-3)
 
 
@@ -141,7 +141,7 @@ def test_blocks_when_there_is_one_segment():
         units="SI",
     )
     comparison = piga.compare_models(run, [["scale_factor"], ["scale_factor", "k0"]])
-    assert (comparison.parted_by, comparison.parts, comparison.folds) == ("block", 10, 10)
+    assert (comparison.parted_by, comparison.parts) == ("block", 20)
     assert comparison.sets[0].prediction is not None
 
 

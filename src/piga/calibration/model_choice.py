@@ -12,27 +12,26 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.fit import Fit, repetitions
+from piga.calibration.intervals import inverse_root
 from piga.calibration.joint import MergedRuns, Wish
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
-from piga.calibration.model.reduction import Reduction, solve_upper
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Estimate
-from piga.calibration.remarks.missing_terms import CUBIC, constant_squares
 from piga.calibration.summary import RunSummary, bare_summary, prepare
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.records.arrays import largest_size
-from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.run import Run
 from piga.records.terms import (
     SERVO_TERMS,
@@ -47,14 +46,8 @@ from piga.records.terms import (
 from piga.results import Array, Result
 from piga.threads import one_thread
 
-_FEWEST_SEGMENTS = 4
-"""Fewest segments for leaving out segments. A record with fewer segments is cut into blocks."""
-_BLOCKS = 10
-"""Number of blocks for a record of fewer segments; each has about the same number of rows."""
-_MOST = 50
-"""Most parts that are left out one by one. With more parts, neighbours are left out together."""
-_DEPENDENT = 1e-9
-"""Largest independent share of a column's length for which the column counts as dependent on the others."""
+_ALONE = 1e-9
+"""Smallest remainder ``1 - leverage`` with which a part can be predicted from the others."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,21 +60,21 @@ class HeldOutPrediction(Result):
         Sum of squares of the whitened prediction errors. If there is only noise: the number of observations.
     force_error:
         Mean prediction error of each part as specific force, root mean square over the parts [m/s^2].
-    per_fold:
-        ``chi_square`` of each fold.
+    per_part:
+        ``chi_square`` of each part.
     above_best, standard_error:
-        Excess of ``chi_square`` over the best set, and its standard error from the scatter of the folds.
+        Excess of ``chi_square`` over the best set, and its standard error from the scatter of the parts.
     """
 
     chi_square: float
     force_error: float
-    per_fold: Array
+    per_part: Array
     above_best: float = 0.0
     standard_error: float = 0.0
 
     def against(self, best: HeldOutPrediction) -> HeldOutPrediction:
         """The prediction with its excess over the best one."""
-        excess = self.per_fold - best.per_fold
+        excess = self.per_part - best.per_part
         error = math.sqrt(excess.size) * float(np.std(excess, ddof=1)) if excess.size > 1 else 0.0
         return replace(self, above_best=float(excess.sum()), standard_error=error)
 
@@ -100,23 +93,8 @@ class HeldOutPrediction(Result):
         }
 
 
-def parts_of(run: Run, per_segment: bool) -> tuple[Positions, str]:
-    """The parts of a record that are left out and predicted, and their kind: segments or blocks."""
-    edges = run.segment_edges().astype(np.int64)
-    if per_segment or edges.size > _FEWEST_SEGMENTS:
-        return Positions(edges, np.arange(edges.size - 1)), "segment"
-    blocks = np.linspace(0, run.size, min(_BLOCKS, run.size) + 1).astype(np.int64)
-    edges = np.unique(np.concatenate((edges, blocks)))
-    return Positions(edges, run.segment_index[edges[:-1]].astype(np.int64)), "block"
-
-
-def fold_of(parts: int) -> NDArray[np.int64]:
-    """Fold of each part: one per part, or one for several neighbours if there are many parts."""
-    return np.arange(parts) * min(parts, _MOST) // parts
-
-
 def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPrediction | None:
-    """Predict every part from the others.
+    """Predict every part from the others; exact, from one fit to all (own derivation, docs/theory).
 
     Parameters
     ----------
@@ -134,29 +112,16 @@ def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPredictio
         return None
     factors = np.array([part.factor for part in parts])
     rows, constants = np.delete(factors, -2, axis=2), factors[:, :, -2]
-    folds = fold_of(len(parts))
-    squares, forces = np.zeros(int(folds[-1]) + 1), []
-    for fold in range(squares.size):
-        estimate = _least_squares(rows[folds != fold].reshape(-1, rows.shape[2]))
-        if estimate is None:
-            return None
-        for part in np.flatnonzero(folds == fold):
-            missed, constant = rows[part, :, -1] - rows[part, :, :-1] @ estimate, constants[part]
-            squares[fold] += float(missed @ missed)
-            forces.append(float(constant @ missed) / float(constant @ constant) / scale_factor)
-    return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(np.square(forces)))), squares)
-
-
-def _least_squares(rows: Array) -> Array | None:
-    """Estimate from rows ``[x | y]``; None when the columns are dependent."""
-    size = np.linalg.norm(rows[:, :-1], axis=0)
-    if (size == 0.0).any():
+    x = rows[:, :, :-1] @ inverse_root(list(rows), rows.shape[2] - 1)
+    missed = rows[:, :, -1] - x @ np.einsum("jka,jk->a", x, rows[:, :, -1])
+    rest = np.eye(x.shape[2]) - np.einsum("jka,jkb->jab", x, x)
+    if np.linalg.eigvalsh(rest).min() < _ALONE:
         return None
-    triangle: Array = np.linalg.qr(rows / np.append(size, 1.0))[1]
-    m = size.size
-    if np.abs(np.diag(triangle)[:m]).min() <= _DEPENDENT:
-        return None
-    return solve_upper(triangle[:m, :m], triangle[:m, m]) / size
+    score = np.einsum("jka,jk->ja", x, missed)[:, :, None]
+    missed = missed + (x @ np.linalg.solve(rest, score))[:, :, 0]
+    squares = np.sum(missed**2, axis=1)
+    forces = np.sum(constants * missed, axis=1) / np.sum(constants**2, axis=1) / scale_factor
+    return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(forces**2))), squares)
 
 
 @dataclass(frozen=True)
@@ -206,21 +171,18 @@ class ModelComparison:
 
     ``best`` has the least BIC. ``best_prediction`` has the fewest coefficients of all sets whose prediction is
     within one standard error of the best one. ``noise_terms`` is the set used for the common noise levels.
-    ``parted_by`` says what was left out: segments or blocks. ``notes`` say how the choice of a set changes K
-    if the record cannot decide between sets.
+    ``parted_by`` says what was left out: segments, or blocks of a record of one segment.
     """
 
     sets: tuple[TermSet, ...]
     observations: int
     parts: int
-    folds: int
     parted_by: str
     noise_terms: tuple[str, ...]
     angle_rms: float
     angle_random_walk: float
     best: int | None
     best_prediction: int | None
-    notes: tuple[str, ...] = ()
 
     @property
     def ranking(self) -> tuple[int, ...]:
@@ -238,13 +200,11 @@ class ModelComparison:
             "angle_random_walk": self.angle_random_walk,
             "observations": self.observations,
             "parts": self.parts,
-            "folds": self.folds,
             "parted_by": self.parted_by,
             "best": None if self.best is None else list(self.sets[self.best].terms),
             "best_prediction": None
             if self.best_prediction is None
             else list(self.sets[self.best_prediction].terms),
-            "notes": list(self.notes),
             "sets": [_set_document(row, best, self.observations) for row in self.sets],
         }
 
@@ -318,7 +278,6 @@ def compare_models(
     """
     wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
     _check_sets(wanted, run.unit)
-    wanted = _with_servo_first(run, wanted)
     steps = Steps(progress, 1 + len(wanted))
     steps("finding the noise")
     union = union_of(wanted)
@@ -329,63 +288,18 @@ def compare_models(
         steps(f"fitting {' '.join(terms)}")
         rows.append(weighed.compared(terms))
     steps.finish()
-    rows = _with_weights(_with_best_prediction(rows))
-    best = _least([row.bic for row in rows])
+    rows, best, best_prediction = _ranked(rows)
     return ModelComparison(
-        sets=tuple(_with_changes(rows, best)),
+        sets=tuple(rows),
         observations=weighed.summary.count,
         parts=len(weighed.summary.positions),
-        folds=weighed.folds,
         parted_by=weighed.parted_by,
         noise_terms=weighed.fit.design.request.terms,
         angle_rms=weighed.fit.noise.angle_rms,
         angle_random_walk=weighed.fit.noise.angle_random_walk,
         best=best,
-        best_prediction=_simplest(rows),
-        notes=_meanings(rows),
+        best_prediction=best_prediction,
     )
-
-
-def _with_servo_first(run: Run, wanted: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
-    """The sets. Before each set with a cube of a_x comes the same set with the servo's stiffness in its place.
-
-    Only if ``a_x^2 + a_t^2`` is constant: both sets then fit alike but give a different K.
-    """
-    if constant_squares(run)[0] is None or run.servo:
-        return wanted
-    sets: list[tuple[str, ...]] = []
-    for terms in wanted:
-        cubes = [name for name in CUBIC[1:] if name in terms]
-        if len(cubes) == 1 and {"scale_factor", "tan_beta"} <= set(terms) and "servo" not in terms:
-            sets.append(tuple("servo" if name == cubes[0] else name for name in terms))
-        sets.append(terms)
-    known = [frozenset(terms) for terms in wanted]
-    return tuple(
-        terms
-        for i, terms in enumerate(sets)
-        if terms in wanted or (frozenset(terms) not in known and terms not in sets[:i])
-    )
-
-
-def _meanings(rows: list[TermSet]) -> tuple[str, ...]:
-    """Meaning of K with the servo's stiffness and with a cube of a_x, for sets that differ only in this."""
-    notes = []
-    values = {
-        frozenset(row.terms): next((c for c in row.coefficients if c.name == "scale_factor"), None)
-        for row in rows
-    }
-    for row in rows:
-        own = values[frozenset(row.terms)]
-        for cube in CUBIC[1:]:
-            other = values.get(frozenset(row.terms) - {"servo"} | {cube})
-            if "servo" in row.terms and own is not None and other is not None:
-                size = "k3 g^2" if cube == "k3" else "what k2o takes of it"
-                notes.append(
-                    f"scale_factor is {own.value:.8g} {own.unit} with servo and {other.value:.8g} with {cube} "
-                    f"instead (difference {size}); where a_x^2 + a_t^2 never changes, BIC and prediction cannot "
-                    "choose between them; a servo of finite stiffness has the term servo"
-                )
-    return tuple(notes)
 
 
 def _check_sets(wanted: tuple[tuple[str, ...], ...], unit: str) -> None:
@@ -422,16 +336,11 @@ class UnionReduction:
         fit, columns = live.fit, tuple(dict.fromkeys((*request.terms, _PROBE)))
         design = Design(live.run, replace(request, terms=columns), fit.design.scale_factor)
         noise = replace(fit.noise, scatter=0.0, stated=())
-        positions, parted_by = parts_of(live.run, design.per_segment)
+        positions = Positions.of(live.run)
         triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
         held = repetitions(design, noise, triangles, positions)
         summary = bare_summary("", request, design, fit.noise, held)
-        return cls(fit, summary, parted_by, logarithm)
-
-    @property
-    def folds(self) -> int:
-        """Number of groups of parts; a group is left out together."""
-        return int(fold_of(len(self.summary.positions))[-1]) + 1
+        return cls(fit, summary, "block" if positions.continuous else "segment", logarithm)
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
@@ -478,62 +387,47 @@ def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
         )
 
 
-def _least(values: list[float | None]) -> int | None:
+def _least(values: Iterable[float | None]) -> int | None:
+    """Index of the least value; None if there is none."""
     known = [(value, index) for index, value in enumerate(values) if value is not None]
     return min(known)[1] if known else None
 
 
-def _with_weights(rows: list[TermSet]) -> list[TermSet]:
-    """Schwarz weights among the sets that are determined."""
-    known = [row.bic for row in rows if row.bic is not None]
-    if not known:
-        return rows
-    total = math.fsum(math.exp(-0.5 * (bic - min(known))) for bic in known)
-    return [
-        row if row.bic is None else replace(row, weight=math.exp(-0.5 * (row.bic - min(known))) / total)
-        for row in rows
-    ]
-
-
-def _with_best_prediction(rows: list[TermSet]) -> list[TermSet]:
-    """All predictions, each with its excess over the best one."""
-    at = _least([None if row.prediction is None else row.prediction.chi_square for row in rows])
-    if at is None:
-        return rows
-    best = rows[at].prediction
-    return [
-        row if row.prediction is None or best is None else replace(row, prediction=row.prediction.against(best))
-        for row in rows
-    ]
-
-
-def _simplest(rows: list[TermSet]) -> int | None:
-    """Index of the set with the fewest coefficients among those within one standard error of the best prediction."""
-    near = [
-        (row.parameters, index)
-        for index, row in enumerate(rows)
-        if row.prediction is not None and row.prediction.as_good_as_best
-    ]
-    return min(near)[1] if near else None
-
-
-def _with_changes(rows: list[TermSet], best: int | None) -> list[TermSet]:
-    """The sets with the difference of every coefficient from the best set, in standard uncertainties of the best."""
+def _ranked(rows: list[TermSet]) -> tuple[list[TermSet], int | None, int | None]:
+    """The sets beside the best one: Schwarz weights, excess of the prediction, changes of coefficients; with both best indices."""
+    best = _least(row.bic for row in rows)
     if best is None:
-        return rows
-    reference = {c.key: c for c in rows[best].coefficients}
-    result = []
-    for row in rows:
-        changes = []
-        for c in row.coefficients:
-            known = reference.get(c.key)
-            if known is not None and known.std > 0.0:
-                change = c.value - known.value
-                if c.name == "phi":
-                    change = math.remainder(change, 2.0 * math.pi)
-                changes.append((c.key, change / known.std))
-        result.append(replace(row, changes=tuple(changes)))
-    return result
+        return rows, None, None
+    known = {index: row.bic for index, row in enumerate(rows) if row.bic is not None}
+    shares = {index: math.exp(-0.5 * (bic - known[best])) for index, bic in known.items()}
+    total = math.fsum(shares.values())
+    foremost = _least(row.prediction.chi_square if row.prediction else None for row in rows)
+    prediction = None if foremost is None else rows[foremost].prediction
+    ranked = [
+        replace(
+            row,
+            weight=shares[index] / total if index in shares else None,
+            prediction=row.prediction.against(prediction) if row.prediction and prediction else None,
+            changes=_changes(row.coefficients, rows[best].coefficients),
+        )
+        for index, row in enumerate(rows)
+    ]
+    near = (row.parameters if row.prediction and row.prediction.as_good_as_best else None for row in ranked)
+    return ranked, best, _least(near)
+
+
+def _changes(
+    coefficients: tuple[Coefficient, ...], best: tuple[Coefficient, ...]
+) -> tuple[tuple[str, float], ...]:
+    """Difference of every coefficient from that of the best set, in standard uncertainties of the best."""
+    pairs = [(c, known) for c in coefficients for known in best if known.key == c.key and known.std > 0.0]
+    return tuple(
+        (
+            c.key,
+            float(short_way(c.value - known.value) if c.name == "phi" else c.value - known.value) / known.std,
+        )
+        for c, known in pairs
+    )
 
 
 @dataclass(frozen=True)

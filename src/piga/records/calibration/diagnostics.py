@@ -293,16 +293,16 @@ class ComparedSet(TypedDict, total=False):
 
 
 class Comparison(TypedDict):
-    """The document of :class:`piga.calibration.ModelComparison`. Older files lack the notes."""
+    """The document of :class:`piga.calibration.ModelComparison`. Older files also have notes and folds."""
 
     notes: NotRequired[list[str]]
+    folds: NotRequired[Count]
     treatment: str
     noise_terms: list[str]
     angle_rms: Level
     angle_random_walk: Level
     observations: Count
     parts: Count
-    folds: Count
     parted_by: Literal["segment", "block"]
     best: list[str] | None
     best_prediction: list[str] | None

@@ -509,11 +509,10 @@ def _comparison_words(document: dict[str, Any]) -> str:
     words = f"Least BIC: {', '.join(document['best'])}."
     if document["best_prediction"] is None:
         return words + " Parts of the record cannot be predicted from the others."
-    notes = "".join(f" {note[0].upper()}{note[1:]}." for note in document.get("notes", ()))
     return (
         f"{words} Fewest coefficients within one standard error of the best prediction "
-        f"({count(document['folds'])} folds over {count(document['parts'])} {document['parted_by']}s): "
-        f"{', '.join(document['best_prediction'])}.{notes}"
+        f"(of each of {count(document['parts'])} {document['parted_by']}s from the others): "
+        f"{', '.join(document['best_prediction'])}."
     )
 
 
