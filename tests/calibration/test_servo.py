@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 from piga._kernels.estimation import servo_columns
-from piga.calibration import RunSummary, compare_models
+from piga.calibration import RunSummary
 from piga.calibration.calibrate import calibrate
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
 from piga.records.distribution import Given, GivenParameter
@@ -274,19 +274,6 @@ def test_phi_holds_the_damping_that_the_model_lacks():
     whole = calibrate(given(run, angle="2e-6 rad"), TERMS)
     assert DAMPING_LEFT not in [row.source for row in whole.budget]
     assert whole["phi"].std < 0.3 * phi.std
-
-
-@pytest.mark.long
-def test_comparison_offers_the_servo_first_and_says_what_k_becomes():
-    run = given(recorded(head(8), seconds=8.0, noise=2e-7, d=0.0), angle="2e-7 rad")
-    comparison = compare_models(run, [["scale_factor", "tan_beta", "k0"], [*TERMS[:3], "m_Y", "k3"]])
-    sets = [row.terms for row in comparison.sets]
-    assert sets[1:] == [(*TERMS[:3], "m_Y", "servo"), (*TERMS[:3], "m_Y", "k3")]
-    values = [{c.name: c.value for c in row.coefficients}["scale_factor"] for row in comparison.sets]
-    assert values[1] == pytest.approx(TRUTH["scale_factor"], rel=1e-6)
-    assert values[2] == pytest.approx(TRUTH["scale_factor"] * (1.0 - 1.3e-5), rel=2e-6)
-    assert "BIC and prediction cannot choose" in comparison.notes[0]
-    assert f"{values[1]:.8g}" in comparison.notes[0]
 
 
 SERVO = (

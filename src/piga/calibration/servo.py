@@ -278,14 +278,18 @@ def _refuse_if_servo_alike(
     names = [tuple(name for name in columns if name not in SERVO_TERMS) for columns in wanted]
     rest = [at_state(part, own, state, g) for g, (part, own) in enumerate(zip(parts, names, strict=True))]
     refuse_if_confounded(examine_parts(plain, rest), runs)
+    estimate = solve_parts(plain, rest)
+    state = replace(state, phases=tuple(estimate.phases.tolist()))
     for term in SERVO_TERMS:
         if (term, None) not in layout.keys:
             continue
-        alike = (
-            _stiffness_alike(plain, parts, names)
+        factors = [
+            part.select((*own, STIFFNESS_COLUMNS[0])).factor
             if term == "servo"
-            else _damping_alike(plain, rest, parts, names)
-        )
+            else at_state(part, (*own, term), state, g).factor
+            for g, (part, own) in enumerate(zip(parts, names, strict=True))
+        ]
+        alike = _made_of(plain, estimate, factors)
         if alike:
             terms = (*alike, term)
             subject = "this record" if runs == 1 else f"these {runs} runs together"
@@ -296,57 +300,18 @@ def _refuse_if_servo_alike(
             )
 
 
-def _stiffness_alike(plain: Layout, parts: list[Reduction], names: Sequence[Names]) -> Names:
-    """Terms that combine to the mean part of ``servo``; empty if the parts can separate it."""
-    local, last = plain.local, len(plain.keys)
-    rows, square = [], 0.0
-    for group, (part, own) in enumerate(zip(parts, names, strict=True)):
-        factor = part.select((*own, STIFFNESS_COLUMNS[0])).factor[:-1, :-1]
-        turned = np.zeros((factor.shape[0] - local, last + 1))
-        turned[:, plain.tails[group]], turned[:, -1] = factor[local:, local:-1], factor[local:, -1]
-        rows.append(turned)
-        square += float(factor[:, -1] @ factor[:, -1])
-    return _made_of(np.vstack(rows), np.sqrt(square), [name for name, _ in plain.keys])
-
-
-def _damping_alike(
-    plain: Layout, rest: list[Reduction], parts: list[Reduction], names: Sequence[Names]
-) -> Names:
-    """Terms that combine to ``servo_damping``, with a free phase in every group."""
-    rows, square = [], 0.0
-    phases = solve_parts(plain, rest).phases
-    state = ServoState(tuple(float(phase) for phase in phases), 0.0, 0.0, 0.0)
-    for group, (part, own) in enumerate(zip(parts, names, strict=True)):
-        factor = at_state(part, (*own, "servo_damping"), state, group).factor[:-1, :-1]
-        cosine, sine = np.cos(phases[group]), np.sin(phases[group])
-        phase, size = factor[:, :2] @ [-sine, cosine], factor[:, :2] @ [cosine, sine]
-        both = np.asarray(np.linalg.qr(np.column_stack([phase, size, factor[:, 2:]]), mode="r"))[1:, 1:]
-        turned = np.zeros((both.shape[0], plain.local + len(plain.keys)))
-        head = plain.local - 1
-        turned[:, :head], turned[:, head + plain.tails[group]] = both[:, :head], both[:, head:-1]
-        turned[:, -1] = both[:, -1]
-        rows.append(turned)
-        square += float(factor[:, -1] @ factor[:, -1])
-    orders = [f"{kind}{order}" for order in plain.orders for kind in ("s", "c")]
-    return _made_of(np.vstack(rows), np.sqrt(square), ["tan_beta", *orders, *(name for name, _ in plain.keys)])
-
-
-def _made_of(rows: Array, size: float, names: list[str]) -> Names:
-    """Names of the columns that combine to the last column of given size; empty if an independent part remains.
-
-    The part of the column that the phase groups take up belongs to ``tan_beta``.
-    """
-    scale = np.linalg.norm(rows[:, :-1], axis=0)
+def _made_of(layout: Layout, estimate: Estimate, factors: list[Array]) -> Names:
+    """Terms whose columns, with free phases, combine to the last column of ``[model | column | y]``; empty if a part remains."""
+    rows = np.vstack([f[:, :-2] @ j for f, j in zip(factors, estimate.jacobians, strict=True)])
+    column = np.concatenate([factor[:, -2] for factor in factors])
+    scale, size = np.linalg.norm(rows, axis=0), float(np.linalg.norm(column))
     scale[scale == 0.0] = 1.0
-    columns = rows[:, :-1] / scale
-    share = np.linalg.lstsq(columns, rows[:, -1], rcond=1e-9)[0]
-    left = float(np.linalg.norm(rows[:, -1] - columns @ share))
-    if left > _SEPARATE * size:
+    share = np.linalg.lstsq(rows / scale, column, rcond=1e-9)[0]
+    if np.linalg.norm(column - rows / scale @ share) > _SEPARATE * size:
         return ()
-    named = tuple(
-        dict.fromkeys(n for n, part in zip(names, share, strict=True) if abs(part) > _NAMED_SHARE * size)
-    )
-    return named or ("tan_beta",)
+    names = [name for name, _ in layout.amplitude_keys] + ["tan_beta"] * estimate.phases.size
+    named = (n for n, part in zip(names, share, strict=True) if abs(part) > _NAMED_SHARE * size)
+    return tuple(dict.fromkeys(named)) or ("tan_beta",)
 
 
 def _remedy(terms: set[str], per_segment: bool) -> str:
