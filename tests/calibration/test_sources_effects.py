@@ -11,11 +11,11 @@ import piga
 from piga.calibration import RunSummary
 from piga.calibration.fit import Fit
 from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_all_sources
+from piga.calibration.merged import MergedRuns, RunTriangles
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import name_coefficients, solve
 from piga.calibration.sources import sources, with_units
-from piga.calibration.weights import Positions, of_segments, reduce_positions, with_scatter
+from piga.calibration.weights import reduce_positions
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
 from piga.records.distribution import GivenParameter
@@ -40,10 +40,11 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     fit, named = whole.only.fit, whole.named(whole.estimate, whole.estimate.covariance)[0]
 
     def estimate(moved: Run) -> np.ndarray:
-        design = fit.design.of(moved)
-        parts = with_scatter(reduce_positions(design, fit.mode, fit.noise), fit.noise)
-        solution = solve(design, of_segments(parts, Positions.of(moved)))
-        return np.array([c.value for c in name_coefficients(design, solution, solution.covariance)[0]])
+        design = fit.design.with_servo(None).of(moved)
+        triangles = RunTriangles.of_rows("", design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
+        runs = MergedRuns.of(fit.runs.wish, [triangles])
+        found = runs.solved()[2]
+        return np.array([c.value for c in runs.named(found, found.covariance)[0]])
 
     units = with_units(fit.design.run)
     moves = zip(sources(units, 1.0), sources(units, -1.0), strict=True)

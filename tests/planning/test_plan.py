@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 import piga
 from piga.calibration.fit import fit_run
 from piga.calibration.model.request import make_request
-from piga.calibration.model.solution import name_coefficients
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError
 from piga.planning.candidates import (
     Visit,
@@ -234,7 +233,7 @@ def test_prediction_is_what_repeats_show(tmp_path):
     for seed in range(REPEATS):
         run = simulated(scenario, seed)
         fit = fit_run(run, make_request(run, list(wish.model.terms), phases=wish.model.phases))
-        named, _ = name_coefficients(fit.design, fit.solution, fit.solution.covariance)
+        named, _ = fit.runs.named(fit.estimate, fit.estimate.covariance)
         values.append([c.value for name in plan.names if name != "phi" for c in named if c.name == name])
     spread = np.std(values, axis=0, ddof=1)
     for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
 from piga.calibration.intervals import Repetition
-from piga.calibration.model.design import Design
-from piga.calibration.model.identifiability import Examination, examine, refuse_if_confounded
+from piga.calibration.merged import MergedRuns, RunTriangles, Wish
+from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
-from piga.calibration.model.solution import Solution, name_coefficients, solve
+from piga.calibration.model.solution import Estimate
 from piga.calibration.outliers import (
     find_flags,
     first_noise,
@@ -27,21 +26,18 @@ from piga.calibration.outliers import (
     suspicious,
     without_rates,
 )
-from piga.calibration.servo import at_phases, reduce_settled
 from piga.calibration.weights import (
-    RATE,
     Noise,
     Positions,
     find_noise,
     find_scatter,
-    of_segments,
     reduce_between,
+    reduce_positions,
     residual_increments,
     starting_noise,
     weighting_mode,
-    with_scatter,
 )
-from piga.errors import CalibrationError
+from piga.errors import CalibrationError, IdentifiabilityError
 from piga.records.calibration.diagnostics import Outlier
 from piga.records.run import Run
 from piga.results import Array
@@ -56,24 +52,26 @@ _ROUNDS = 5
 class Fit:
     """A finished fit of one run.
 
-    ``rows`` are the triangles ``[model | rate | y]`` of the positions, without scatter; servo columns have no phase.
-    ``d`` and ``h`` are the residual increments and their intervals. ``outliers`` are the samples left out.
+    ``design`` has the servo columns at the phases of the fit, ``runs`` holds the triangles of the positions without a phase.
+    ``values`` (segments, m) are the column coefficients, ``d`` and ``h`` the residual increments and their intervals.
+    ``outliers`` are the samples left out.
     """
 
     design: Design
     mode: str
-    noise: Noise
-    rows: list[Reduction]
-    solution: Solution
-    examination: Examination
+    runs: MergedRuns
+    servo: ServoState | None
+    values: Array
+    estimate: Estimate
     d: Array = field(repr=False)
     h: Array = field(repr=False)
+    noise: Noise
     outliers: tuple[Outlier, ...] = ()
 
-    @cached_property
-    def positions(self) -> list[Reduction]:
-        """The same triangles with the servo columns at the phases of the fit."""
-        return at_phases(self.design, self.rows)
+    @property
+    def triangles(self) -> RunTriangles:
+        """The triangles ``[model | rate | y]`` of the positions."""
+        return self.runs.summaries[0]
 
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
@@ -87,7 +85,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
         If more than two in five of the samples are bad.
     """
     fit = plain = _fit(run, request, stated)
-    parameters = fit.solution.parameters
+    parameters = fit.estimate.parameters
     d = fit.d - _scattered(fit)
     if request.phase_source == "input" or not suspicious(d, fit.h, fit.mode, fit.noise, run, parameters):
         return fit
@@ -107,7 +105,7 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
         fit.design.forget()
         fit = replace(_fit(cleaned, request, stated), outliers=outliers)
         raw = raw.with_phase_of(fit.design)
-        misses = misses_of(raw, fit.solution.values)
+        misses = misses_of(raw, fit.values)
         misses = replace(misses, d=misses.d - _scattered(fit))
         raw.forget()
         noise = later_noise(misses, fit.noise, flags, parameters)
@@ -131,36 +129,46 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
     for refit in range(_REFITS):
-        design, rows = reduce_settled(raw, mode, noise)
-        parts = at_phases(design, rows)
-        summaries = of_segments([part.select(design.names) for part in parts], positions)
-        examination = examine(design, summaries)
-        refuse_if_confounded(examination)
-        solution = solve(design, summaries)
-        refined = raw.with_scale_factor(_scale_factor(design, solution))
-        d, h = residual_increments(design, solution.values)
-        levels = given or find_noise(design, d, h, solution.parameters, mode)
+        triangles = RunTriangles.of_rows("", raw, _of_rows(noise), reduce_positions(raw, mode, noise))
+        fit = _solved(raw, mode, triangles)
+        refined = raw.with_scale_factor(_scale_factor(fit))
+        levels = given or find_noise(fit.design, fit.d, fit.h, fit.estimate.parameters, mode)
         step = run.median_step
-        settled = refined is raw and levels.close_to(noise, step, design.rows // len(run.labels))
+        settled = refined is raw and levels.close_to(noise, step, raw.rows // len(run.labels))
         if settled or refit == _REFITS - 1:
             break
         noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:
-        noise = find_scatter(parts, noise, design.local_names if design.has_phases else ())
+        parts = [position.part for position in fit.runs.positions(0, fit.servo)]
+        noise = find_scatter(parts, noise, raw.local_names if raw.has_phases else ())
     if noise.rate_variances(positions.count).any():
-        summaries = of_segments(with_scatter(parts, noise), positions)
-        solution = solve(design, summaries)
-        d, h = residual_increments(design, solution.values)
-    return Fit(design, mode, noise, rows, solution, examination, d, h)
+        fit = _solved(raw, mode, triangles.weighted(noise))
+    return replace(fit, noise=noise)
+
+
+def _of_rows(noise: Noise) -> Noise:
+    """The levels of the rows within positions."""
+    return replace(noise, scatter=0.0, stated=(), counted=())
+
+
+def _solved(raw: Design, mode: str, triangles: RunTriangles) -> Fit:
+    """The fit with these weights; raises if the record cannot determine what is asked."""
+    runs = MergedRuns.of(Wish.of_one(raw.request.terms), [triangles])
+    state, _, estimate = runs.solved()
+    design, values = runs.design_at(raw, estimate, state)
+    d, h = residual_increments(design, values)
+    return Fit(design, mode, runs, state, values, estimate, d, h, triangles.noise)
 
 
 def _scattered(fit: Fit) -> Array:
     """Increments by the likeliest rates of the positions, where they scatter; otherwise they would look like bad samples."""
     positions, m = Positions.of(fit.design.run), len(fit.design.names)
-    variances, rates = fit.noise.rate_variances(positions.count), np.zeros(positions.count)
-    for k, (part, segment) in enumerate(zip(fit.positions, positions.segments.tolist(), strict=True)):
-        own, missed = part.factor[:, m], part.factor[:, -1] - part.factor[:, :m] @ fit.solution.values[segment]
-        rates[k] = variances[k] * (own @ missed) / (1.0 + variances[k] * (own @ own))
+    rates = np.zeros(positions.count)
+    pairs = zip(fit.runs.positions(0, fit.servo), positions.segments.tolist(), strict=True)
+    for k, (position, segment) in enumerate(pairs):
+        rows, variance = position.part.factor, position.variance
+        own, missed = rows[:, m], rows[:, -1] - rows[:, :m] @ fit.values[segment]
+        rates[k] = variance * (own @ missed) / (1.0 + variance * (own @ own))
     increments = np.repeat(rates, np.diff(positions.edges))
     increments *= np.maximum(fit.h, 0.0)
     return increments
@@ -172,31 +180,11 @@ def _given_noise(request: Request) -> Noise | None:
     return Noise(request.angle_rms**2, request.angle_random_walk**2)
 
 
-def _scale_factor(design: Design, solution: Solution) -> float:
-    if not design.estimates_scale_factor:
-        return design.run.scale_factor
-    coupled = 1 if "p" in design.local_names else 0
-    local = len(design.local_names) - 2 * coupled
-    return float(solution.amplitudes[coupled + local + design.shared_names.index("scale_factor")])
-
-
-def repetitions(
-    design: Design, noise: Noise, parts: list[Reduction], positions: Positions | None = None
-) -> tuple[Repetition, ...]:
-    """The positions of a run, with their triangles, as repetitions of the measurement."""
-    run, positions = design.run, positions or Positions.of(design.run)
-    begin, end = positions.times(run)
-    names = [run.labels[k] for k in positions.segments.tolist()]
-    if positions.continuous:
-        names = [f"{k + 1} of {positions.count}" for k in range(positions.count)]
-    variances = noise.rate_variances(positions.count).tolist()
-    columns = zip(parts, positions.segments.tolist(), variances, names, begin, end, strict=True)
-    return tuple(
-        Repetition(
-            part, design.groups[segment], variance, name, float(t0), float(t1), block=positions.continuous
-        )
-        for part, segment, variance, name, t0, t1 in columns
-    )
+def _scale_factor(fit: Fit) -> float:
+    keys = fit.runs.layout.amplitude_keys
+    if ("scale_factor", None) not in keys:
+        return fit.design.run.scale_factor
+    return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
 
 
 POINTS = 400
@@ -207,11 +195,13 @@ def history_of(fit: Fit) -> dict[str, Array]:
     """Estimate and standard uncertainty after the first samples, up to the whole record (file units)."""
     rows, samples = [], []
     keys: tuple[str, ...] = ()
-    for mark, summaries in _growing(fit):
-        if examine(fit.design, summaries).null_terms:
+    for mark, triangles in _growing(fit):
+        runs = MergedRuns.of(fit.runs.wish, [triangles])
+        try:
+            _, _, estimate = runs.solved()
+        except IdentifiabilityError:
             continue
-        solution = solve(fit.design, summaries)
-        named, covariance = name_coefficients(fit.design, solution, solution.covariance)
+        named, covariance = runs.named(estimate, estimate.covariance)
         plain = [i for i, c in enumerate(named) if c.name != "phi" or not fit.design.has_phases]
         keys = tuple(named[i].name for i in plain)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -225,9 +215,9 @@ def history_of(fit: Fit) -> dict[str, Array]:
     return result
 
 
-def _growing(fit: Fit) -> Iterator[tuple[int, list[Reduction]]]:
-    """Number of samples, and one summary for each segment begun; the last item is that of the whole record."""
-    design, run = fit.design, fit.design.run
+def _growing(fit: Fit) -> Iterator[tuple[int, RunTriangles]]:
+    """Number of samples, and the triangles of the segments begun; the last item is that of the whole record."""
+    design, run = fit.design.with_servo(None), fit.design.run
     points = POINTS if not design.has_phases else POINTS // 10
     marks = np.unique(np.linspace(min(run.size, 2 * len(design.names)), run.size, points).astype(np.int64))
     edges = np.union1d(run.segment_edges(), marks)
@@ -240,4 +230,9 @@ def _growing(fit: Fit) -> Iterator[tuple[int, list[Reduction]]]:
         else:
             parts.append(piece)
         if stop in marks:
-            yield stop, [part.without((RATE,), own) for part, own in zip(parts, variances, strict=False)]
+            columns = zip(parts, design.groups, variances, run.labels, strict=False)
+            begun = tuple(
+                Repetition(part, group, variance, name, 0.0, 0.0) for part, group, variance, name in columns
+            )
+            labels = fit.triangles.labels[: len(parts)]
+            yield stop, replace(fit.triangles, labels=labels, positions=begun)

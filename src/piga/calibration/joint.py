@@ -13,34 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga.calibration.fit import fit_run
-from piga.calibration.intervals import Interval, Repetition, find_interval
-from piga.calibration.model.design import Design, Names, ServoState, phaseless_columns
-from piga.calibration.model.identifiability import (
-    Examination,
-    examine_parts,
-    refuse_if_confounded,
-    refuse_useless,
-)
-from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, check_per_run, harmonics_of, make_request, shared_of
-from piga.calibration.model.solution import (
-    Estimate,
-    Layout,
-    Owner,
-    asked_order,
-    name_parameters,
-    solve_parts,
-)
-from piga.calibration.servo import at_state, state_of
+from piga.calibration.intervals import Interval
+from piga.calibration.merged import MergedRuns, SourceSummary, Wish, source_column
+from piga.calibration.model.design import Design, ServoState
+from piga.calibration.model.identifiability import Examination, refuse_useless
+from piga.calibration.model.request import Request, check_per_run, make_request
+from piga.calibration.model.solution import Estimate, asked_order
 from piga.calibration.sources import merged_sources, with_effects
 from piga.calibration.summary import (
     LiveRun,
     RunSummary,
-    SourceSummary,
     own_summary,
     prepare,
     run_name,
-    source_column,
     summarise,
     with_sources,
 )
@@ -50,14 +35,12 @@ from piga.errors import ArgumentError, CalibrationError
 from piga.progress import SILENT, Steps
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, check_terms
+from piga.records.terms import check_terms
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
 
 _INNER_CHANGE = 1e-6
 """Relative change of K above which the regressors of runs with base rotation are computed again."""
-_SAME_SERVO = 0.02
-"""Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 
 
 BIAS = "k0"
@@ -71,206 +54,10 @@ _WARMED = {"k0_T": "k0", "k1_T": "scale_factor"}
 
 
 @dataclass(frozen=True)
-class Wish:
-    """Request for all runs together: union of their terms, and the terms that may differ between runs."""
-
-    terms: tuple[str, ...]
-    per_run: tuple[str, ...]
-    own: tuple[tuple[str, ...], ...]
-
-    @classmethod
-    def of_one(cls, terms: tuple[str, ...]) -> Wish:
-        """The request for one run."""
-        return cls(terms, (), (terms,))
-
-    def terms_of(self, index: int) -> tuple[str, ...]:
-        """Terms of one run: the common terms, and those ``per_run`` terms that the run asks for."""
-        return tuple(t for t in self.terms if t not in self.per_run or t in self.own[index])
-
-
-@dataclass(frozen=True)
-class MergedRuns:
-    """Runs to solve together: their request and summaries, the common layout, and the shared columns of every run."""
-
-    wish: Wish
-    summaries: tuple[RunSummary, ...]
-    layout: Layout
-    shared: tuple[Names, ...]
-
-    @classmethod
-    def of(cls, wish: Wish, summaries: Sequence[RunSummary]) -> MergedRuns:
-        """The runs with the layout of their request."""
-        shared = tuple(shared_of(wish.terms_of(index)) for index in range(len(summaries)))
-        keys: list[tuple[str, str | None]] = []
-        for term in shared_of(wish.terms):
-            if term in wish.per_run:
-                keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
-            else:
-                keys.append((term, None))
-        tails = []
-        for summary, own in zip(summaries, shared, strict=True):
-            at = [keys.index((t, summary.name if t in wish.per_run else None)) for t in own]
-            tails += [np.array(at, dtype=np.int64)] * len(summary.parts)
-        layout = Layout("tan_beta" in wish.terms, harmonics_of(wish.terms), tuple(keys), tuple(tails))
-        return cls(wish, tuple(summaries), layout, shared)
-
-    @property
-    def ranges(self) -> dict[str, tuple[float, float]]:
-        """Range in which the result is valid: that of all runs together (SI)."""
-        names = dict.fromkeys(name for summary in self.summaries for name in summary.ranges)
-        held = {name: [s.ranges[name] for s in self.summaries if name in s.ranges] for name in names}
-        return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in held.items()}
-
-    @property
-    def local(self) -> Names:
-        """Columns that turn with the phase of a group."""
-        return self.layout.columns[: self.layout.local]
-
-    def first_group(self, index: int) -> int:
-        """Number of the first phase group of a run."""
-        return sum(len(summary.parts) for summary in self.summaries[:index])
-
-    def run_of(self, group: int) -> int:
-        """Number of the run of a phase group."""
-        return int(np.searchsorted(np.cumsum([len(s.parts) for s in self.summaries]), group, side="right"))
-
-    def wanted(self, index: int) -> Names:
-        """Columns of a run in the fit."""
-        return self.summaries[index].columns(self.local, self.shared[index])
-
-    def stored(self, index: int, beside: Names = ()) -> Names:
-        """Shared columns of a run, and more, as its summary contains them: those of the servo without a phase."""
-        shared = (*self.shared[index], *beside)
-        plain = tuple(name for name in shared if name not in SERVO_TERMS)
-        return plain + phaseless_columns((*shared, *self.known_servo(index)))
-
-    def known_servo(self, index: int) -> dict[str, float]:
-        """K times the servo coefficients that a run gives and that are not estimated."""
-        summary = self.summaries[index]
-        return {
-            name: summary.inner_scale_factor * size
-            for name, size in summary.known_servo
-            if name not in self.shared[index]
-        }
-
-    def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
-        """Changes of ``known_servo`` by each source of a run that moves it, by its column.
-
-        The fit that made the column may have estimated the servo, or had another phase.
-        """
-        summary, known = self.summaries[index], self.known_servo(index)
-        return {
-            source_column(number): {
-                name: summary.inner_scale_factor * size - known[name]
-                for name, size in source.known_servo
-                if name in known
-            }
-            for number, source in enumerate(summary.sources)
-            if source.known_servo
-        }
-
-    def parts(self, state: ServoState | None) -> list[Reduction]:
-        """Summaries of all phase groups; with a state, combined at it."""
-        parts: list[Reduction] = []
-        for index, summary in enumerate(self.summaries):
-            held = summary.choose(summary.parts, self.local, self.stored(index))
-            if state is not None:
-                wanted, first, known = self.wanted(index), len(parts), self.known_servo(index)
-                held = [at_state(part, wanted, state, group, known) for group, part in enumerate(held, first)]
-            parts += held
-        return parts
-
-    def servo_state(self) -> ServoState | None:
-        """State that combines the servo columns in all phase groups; None without servo terms.
-
-        Raises
-        ------
-        CalibrationError
-            If the runs give different parameters of the servo.
-        """
-        known = [self.known_servo(index) for index in range(len(self.summaries))]
-        if not any(known) and not any(name in SERVO_TERMS for names in self.shared for name in names):
-            return None
-        for index, given in enumerate(known):
-            alike = given.keys() == known[0].keys() and all(
-                abs(size - known[0][name]) <= _SAME_SERVO * abs(size) for name, size in given.items()
-            )
-            if not alike:
-                first, other = self.summaries[0].name, self.summaries[index].name
-                raise CalibrationError(
-                    f"run '{first}' and run '{other}' give different parameters of the servo",
-                    remedy="write the same [instrument] servo in all run files of an instrument, or in none",
-                )
-        wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.parts]
-        several = all(len(summary.labels) > 1 for summary in self.summaries)
-        return state_of(
-            self.layout, self.parts(None), wanted, known[0], per_segment=several, runs=len(self.summaries)
-        )
-
-    def solved(self) -> tuple[ServoState | None, Examination, Estimate]:
-        """State of the servo columns, examination and estimate.
-
-        Raises
-        ------
-        CalibrationError
-            If a column of a summary is missing, or the runs give different parameters of the servo.
-        IdentifiabilityError
-            If the runs together cannot separate what is asked.
-        """
-        state = self.servo_state()
-        parts = self.parts(state)
-        examination = examine_parts(self.layout, parts)
-        refuse_if_confounded(examination, len(self.summaries))
-        return state, examination, solve_parts(self.layout, parts)
-
-    def repetitions(self, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
-        """The positions of all runs, with the columns of the fit and those ``beside`` them.
-
-        The blocks of a run that holds one position are one repetition: their scatter does not show that of positions.
-        """
-        result: list[Repetition] = []
-        for index, summary in enumerate(self.summaries):
-            held = self.positions(index, state, beside)
-            if summary.holds_one_position and len(self.summaries) > 1:
-                whole = Reduction.stacked([block.part for block in held])
-                held = [replace(held[0], part=whole, name=summary.name, end=held[-1].end, block=False)]
-            result += held
-        return result
-
-    def positions(self, index: int, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
-        """The positions of one run, with the columns of the fit and those ``beside`` them."""
-        summary, first = self.summaries[index], self.first_group(index)
-        wanted, known = (*self.wanted(index), *beside), self.known_servo(index)
-        stored, moved = self.stored(index, beside), self._moved_servo(index)
-        held = summary.choose(tuple(p.part for p in summary.positions), self.local, stored)
-        result = []
-        for position, part in zip(summary.positions, held, strict=True):
-            group = first + position.group
-            chosen = part if state is None else at_state(part, wanted, state, group, known, moved)
-            name = f"{summary.name}:{position.name}" if summary.name else position.name
-            result.append(replace(position, part=chosen, group=group, run=index, name=name))
-        return result
-
-    def interval_of(self, estimate: Estimate, state: ServoState | None) -> Interval:
-        """Covariance and degrees of freedom of the internal parameters, by the scatter of the positions of all runs."""
-        stated = any(summary.noise.stated for summary in self.summaries)
-        return find_interval(self.layout, estimate, self.repetitions(state), stated=stated)
-
-    def named(self, estimate: Estimate, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
-        """Coefficients of all runs in file units, and their covariance, from that of the internal parameters."""
-        owners: list[Owner] = []
-        if self.layout.coupled:
-            owners = [(label, summary.name or None) for summary in self.summaries for label in summary.labels]
-        nominal = self.summaries[0].scale_factor
-        return name_parameters(
-            self.layout, estimate, covariance, nominal, self.wish.terms, owners, self.summaries[0].unit
-        )
-
-
-@dataclass(frozen=True)
 class JointFit(MergedRuns):
     """The solution of merged runs: those with raw data, estimate with its interval, named coefficients, servo state."""
 
+    summaries: tuple[RunSummary, ...]
     live: tuple[LiveRun | None, ...]
     estimate: Estimate
     interval: Interval
@@ -290,24 +77,13 @@ class JointFit(MergedRuns):
         """The run, if there is one only, with raw data."""
         return self.live[0] if len(self.live) == 1 else None
 
-    def servo_of(self, index: int, segments: int) -> ServoState | None:
-        """State that combines the servo columns in the segments of a run; None without servo terms."""
-        if self.servo is None:
-            return None
-        first, count = self.first_group(index), len(self.summaries[index].parts)
-        own = self.servo.phases[first : first + count]
-        return replace(self.servo, phases=own if count == segments else own * segments)
-
     def design_of(self, index: int, live: LiveRun) -> tuple[Design, Array]:
         """Columns of a run with raw data, and their coefficients in each of its segments."""
-        segments, values = len(live.run.labels), self.column_values(index)
-        if len(values) != segments:
-            values = np.tile(values[0], (segments, 1))
         own, terms = live.fit.design, self.wish.terms_of(index)
-        state, scale_factor = self.servo_of(index, segments), self.summaries[index].inner_scale_factor
-        if own.request.terms == terms and own.scale_factor == scale_factor:
-            return own.with_servo(state), values
-        return Design(live.run, replace(live.request, terms=terms), scale_factor, state), values
+        scale_factor = self.summaries[index].inner_scale_factor
+        if own.request.terms != terms or own.scale_factor != scale_factor:
+            own = Design(live.run, replace(live.request, terms=terms), scale_factor)
+        return self.design_at(own, self.estimate, self.servo, index)
 
     def moved(self, change: Array) -> Array:
         """Change of the coefficients (n,; file units) by a change of the internal parameters."""
@@ -339,14 +115,6 @@ class JointFit(MergedRuns):
             covariance=covariance,
             examination=examination,
             servo=state,
-        )
-
-    def column_values(self, index: int) -> Array:
-        """Coefficients of the columns of a run in each of its phase groups."""
-        first, count = self.first_group(index), len(self.summaries[index].parts)
-        phases = self.estimate.phases if self.layout.coupled else np.zeros(first + count)
-        return np.array(
-            [self.layout.linear(self.estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
         )
 
 
@@ -508,7 +276,7 @@ def merge_runs(wish: Wish, summaries: Sequence[RunSummary], live: Sequence[LiveR
     coefficients, covariance = runs.named(estimate, interval.covariance)
     return JointFit(
         wish=wish,
-        summaries=runs.summaries,
+        summaries=tuple(summaries),
         layout=runs.layout,
         shared=runs.shared,
         live=tuple(live),
@@ -592,7 +360,7 @@ def _scores(fit: JointFit, index: int) -> Array:
     stored = not fit.live[index] and set(_WARMED) & set(wanted)
     warm = [number for number, source in enumerate(summary.sources) if stored and source.name == "temperature"]
     beside = tuple(dict.fromkeys(_WARMED.values())) if warm else ()
-    values, m, result = fit.column_values(index), len(wanted), []
+    values, m, result = fit.values_of(fit.estimate, index), len(wanted), []
     for position in fit.positions(index, fit.servo, (RATE, *names, *beside)):
         rows = position.part.without((RATE,), position.variance).factor
         columns, others = rows[:, m : m + len(names)], rows[:, m + len(names) : -1]

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from piga.calibration.fit import Fit, repetitions
+from piga.calibration.fit import Fit
 from piga.calibration.intervals import inverse_root
-from piga.calibration.joint import MergedRuns, Wish
+from piga.calibration.merged import MergedRuns, RunTriangles, Wish
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
 from piga.calibration.model.solution import Estimate
-from piga.calibration.summary import RunSummary, bare_summary, prepare
+from piga.calibration.summary import prepare
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
@@ -325,7 +325,7 @@ class UnionReduction:
     """A record, whitened and reduced over the union of all columns: its summary has one triangle per part."""
 
     fit: Fit
-    summary: RunSummary
+    summary: RunTriangles
     parted_by: str
     log_determinant: float
 
@@ -338,8 +338,7 @@ class UnionReduction:
         noise = replace(fit.noise, scatter=0.0, stated=())
         positions = Positions.of(live.run)
         triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
-        held = repetitions(design, noise, triangles, positions)
-        summary = bare_summary("", request, design, fit.noise, held)
+        summary = RunTriangles.of_rows("", design, noise, triangles, positions)
         return cls(fit, summary, "block" if positions.continuous else "segment", logarithm)
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:

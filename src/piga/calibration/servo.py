@@ -17,8 +17,7 @@ import numpy as np
 from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, Names, ServoState
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Estimate, Layout, merged_groups, solve_parts
-from piga.calibration.weights import RATE, Noise, Positions, of_segments, reduce_positions, with_scatter
+from piga.calibration.model.solution import Estimate, Layout, solve_parts
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import short_way
 from piga.records.terms import SERVO_TERMS
@@ -195,37 +194,6 @@ def _without_servo(layout: Layout) -> Layout:
         np.array([number[int(i)] for i in tail if int(i) in number], dtype=np.int64) for tail in layout.tails
     )
     return replace(layout, keys=tuple(layout.keys[i] for i in kept), tails=tails)
-
-
-def reduce_settled(design: Design, mode: str, noise: Noise) -> tuple[Design, list[Reduction]]:
-    """The design with the servo columns at the phases of the record, and a triangle ``[model | rate | y]`` per position.
-
-    One pass: the triangles have servo columns without a phase. They give the phases; :func:`at_phases` combines them.
-
-    Raises
-    ------
-    IdentifiabilityError
-        If the record cannot separate a servo term from other terms; names the terms and a test that can.
-    """
-    raw, positions = design.with_servo(None), Positions.of(design.run)
-    parts = reduce_positions(raw, mode, noise, positions)
-    if not raw.turning_servo:
-        return raw, parts
-    terms, known = raw.request.shared_terms, raw.known_servo
-    held = merged_groups(of_segments(with_scatter(parts, noise), positions), raw.groups)
-    layout = Layout.of_one("tan_beta" in raw.request.terms, raw.request.harmonics, terms, len(held))
-    names = raw.local_names + terms
-    state = state_of(layout, held, (names,) * len(held), known, per_segment=len(held) > 1)
-    return raw.with_servo(replace(state, phases=tuple(state.phases[group] for group in raw.groups))), parts
-
-
-def at_phases(design: Design, rows: list[Reduction]) -> list[Reduction]:
-    """Triangles ``[model | rate | y]`` of the positions with the servo columns at the phases of the design."""
-    state, segments = design.servo, Positions.of(design.run).segments.tolist()
-    if state is None:
-        return rows
-    names, known = (*design.names, RATE), design.known_servo
-    return [at_state(part, names, state, segment, known) for part, segment in zip(rows, segments, strict=True)]
 
 
 def with_mean_servo(design: Design) -> Design:

@@ -8,9 +8,8 @@ from __future__ import annotations
 import datetime as dt
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,11 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.fit import Fit, fit_run, repetitions
-from piga.calibration.intervals import Repetition
+from piga.calibration.fit import Fit, fit_run
+from piga.calibration.merged import RunTriangles, SourceSummary, repetitions, source_column
 from piga.calibration.model.design import PHASELESS, Design, given_servo
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.model.solution import merged_groups
 from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
 from piga.calibration.sources import Source, listed, sources
 from piga.calibration.uncertainty import stated_scatter, units_of
@@ -37,8 +35,7 @@ from piga.records.calibration.coefficient import Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.limits import read_whole
 from piga.records.run import Run
-from piga.records.run_file import Draw
-from piga.records.terms import GYRO, SERVO_TERMS, check_name, harmonic, turns
+from piga.records.terms import SERVO_TERMS, check_name, harmonic, turns
 from piga.records.text_files import JsonError, json_object
 from piga.results import Array, Result
 from piga.terms import LOGGED_TERMS, TERMS
@@ -50,113 +47,50 @@ SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
 _LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
-_STEADY = 1e-3
-"""Relative change of the force below which a run of one segment holds one position."""
 
 
-@dataclass(frozen=True)
-class SourceSummary:
-    """One source of Type B of a run. Its column in the triangles of the positions is named by its number.
-
-    The column is the change of the observations, less that of the model, by one standard uncertainty of the source. ``in_fit``:
-    True if the weights include the source. ``draw`` as in the run file. ``stated``: False for one unit of a source that nobody
-    stated.
-    """
-
-    name: str
-    value: Number
-    unit: str
-    distribution: str = "normal"
-    degrees_of_freedom: Level = math.inf
-    known_servo: tuple[tuple[str, Number], ...] = ()
-    draw: Draw = "reference"
-    in_fit: bool = False
-    stated: bool = True
-
-
-def source_column(number: int) -> str:
-    """Name of the column of a source."""
-    return f"source {number}"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RunSummary(Result):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class RunSummary(RunTriangles, Result):
     """Data of one run for a joint calibration.
 
     Attributes
     ----------
-    name, serial, scale_factor:
-        Name of the run (unique in a joint calibration), serial number of the instrument, nominal K [(rad/s)/(m/s^2)].
+    serial, kind:
+        Serial number of the instrument; kind of the output.
     terms, per_run, phases:
         As requested in its run file.
-    noise:
-        Levels of this run that weigh its rows.
-    inner_scale_factor, turning:
-        K inside the regressors; True if the regressors depend on it (a base rotation is recorded).
-    labels:
-        Segment of each phase group (None: one phase for the run).
-    positions:
-        Triangle ``[columns | rate | sources | y]`` of each position, with its phase group, the variance of its rate, and its
-        times.
-    sources:
-        Sources of Type B.
+    turning:
+        True if the regressors depend on K (a base rotation is recorded).
     stand, reference_id:
         Kind of the stand and name of the reference. Runs that agree in both share the errors of the reference.
     undetermined:
         Terms that this run alone cannot determine.
-    known_servo:
-        Servo coefficients [1/(m/s^2)^2] from the servo parameters of the run file.
     stand_sources:
         Sources that exist on its stand, and whether they are stated.
-    quality, segments, figures, ranges:
+    quality, segments, figures:
         As in a calibration of this run alone.
-    unit:
-        Unit of the output rate.
     """
 
-    name: str
     serial: str
-    scale_factor: Level
     kind: str
     terms: tuple[str, ...]
     per_run: tuple[str, ...] | None
     phases: str
     temperature_reference: Level
     time_reference: Number
-    noise: Noise
-    inner_scale_factor: Level
     turning: bool
-    labels: tuple[str | None, ...]
-    positions: tuple[Repetition, ...]
-    sources: tuple[SourceSummary, ...]
     stand: str | None
     reference_id: str | None
     undetermined: tuple[str, ...]
     quality: Quality
     segments: tuple[SegmentSummary, ...]
     figures: dict[str, Level]
-    ranges: dict[str, tuple[Number, Number]]
     input_sha256: dict[str, str] = field(default_factory=dict)
     source: str = ""
     software: str = ""
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
-    known_servo: tuple[tuple[str, Number], ...] = ()
     stand_sources: tuple[StandSource, ...] = ()
-    unit: str = GYRO
-
-    @cached_property
-    def parts(self) -> tuple[Reduction, ...]:
-        """Triangle ``[columns | y]`` of each phase group, with the scatter of the positions in its weights."""
-        alone = [position.part.without((RATE,), position.variance) for position in self.positions]
-        return tuple(merged_groups(alone, tuple(position.group for position in self.positions)))
-
-    @property
-    def holds_one_position(self) -> bool:
-        """True if the run has one segment in which the force stays the same."""
-        ranges = [self.ranges[name] for name in ("a_x", "a_t") if name in self.ranges]
-        largest = max((abs(end) for limits in ranges for end in limits), default=0.0)
-        return len(self.segments) == 1 and all(high - low <= _STEADY * largest for low, high in ranges)
 
     @classmethod
     @one_thread()
@@ -182,7 +116,7 @@ class RunSummary(Result):
         live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
         fit, columns = live.fit, _all_columns(run, live.request)
         design = Design(live.run, replace(live.request, terms=columns, per_run=()), fit.design.scale_factor)
-        return with_sources(summarise(live, columns), design, fit.design, fit.solution.values, fit.mode)
+        return with_sources(summarise(live, columns), design, fit.design, fit.values, fit.mode)
 
     def to_json(self, path: str | Path) -> None:
         """Write the summary (schema ``piga.run-summary/2``): exact.
@@ -231,36 +165,7 @@ class RunSummary(Result):
 
     def without_scatter(self) -> RunSummary:
         """The summary with the weights of white noise, random walk and stated scatter only."""
-        noise = replace(self.noise, scatter=0.0)
-        variances = noise.rate_variances(len(self.positions)).tolist()
-        positions = zip(self.positions, variances, strict=True)
-        return replace(self, noise=noise, positions=tuple(replace(p, variance=v) for p, v in positions))
-
-    @property
-    def count(self) -> int:
-        """Number of observations."""
-        return sum(position.part.count for position in self.positions)
-
-    def columns(self, local: tuple[str, ...], shared: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the wanted columns in this summary. The ``k1`` of another run may be its scale factor."""
-        held = self.positions[0].part.names
-        return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
-
-    def choose(
-        self, parts: tuple[Reduction, ...], local: tuple[str, ...], shared: tuple[str, ...]
-    ) -> list[Reduction]:
-        """Parts with only the wanted columns, in the wanted order."""
-        held = parts[0].names
-        columns = self.columns(local, shared)
-        missing = [name for name in columns if name not in held]
-        if missing:
-            raise CalibrationError(
-                f"the summary of run '{self.name}' has no column for {', '.join(missing)}",
-                remedy="summarise the run again with these terms",
-            )
-        if "scale_factor" in held and "scale_factor" not in shared:
-            parts = tuple(part.less("scale_factor", self.scale_factor) for part in parts)
-        return [part.select(columns) for part in parts]
+        return self.weighted(replace(self.noise, scatter=0.0))
 
 
 @dataclass(frozen=True)
@@ -331,46 +236,37 @@ def bare_summary(
     request: Request,
     design: Design,
     noise: Noise,
-    positions: tuple[Repetition, ...],
+    rows: Sequence[Reduction],
     undetermined: tuple[str, ...] = (),
 ) -> RunSummary:
     """Triangles of the positions of a run, with what is needed to solve them: no sources, no residuals."""
     run = design.run
     return RunSummary(
-        name=name,
+        **vars(RunTriangles.of_rows(name, design, noise, rows)),
         serial=run.serial,
-        scale_factor=run.scale_factor,
         kind=run.kind,
         terms=request.terms,
         per_run=request.per_run,
         phases=request.phases,
         temperature_reference=request.temperature_reference,
         time_reference=design.time_reference,
-        noise=noise,
-        inner_scale_factor=design.scale_factor,
         turning=run.base_rate is not None,
-        labels=run.labels if design.per_segment else (None,),
-        positions=positions,
-        sources=(),
         stand=None if run.stand is None else str(run.stand.get("kind")),
         reference_id=run.uncertainty.reference_id,
         undetermined=undetermined,
         quality=run.quality,
         segments=(),
         figures={},
-        ranges=validity_ranges(run),
         input_sha256=dict(run.input_sha256),
         source=run.source,
-        known_servo=tuple(given_servo(run).items()),
-        unit=run.unit,
     )
 
 
 def own_summary(live: LiveRun) -> RunSummary:
     """The triangles of the run's own fit."""
     fit = live.fit
-    positions = repetitions(fit.design, fit.noise, fit.rows)
-    summary = bare_summary(live.name, live.request, fit.design, fit.noise, positions)
+    rows = [position.part for position in fit.triangles.positions]
+    summary = bare_summary(live.name, live.request, fit.design.with_servo(None), fit.noise, rows)
     return replace(summary, outliers=fit.outliers)
 
 
@@ -379,8 +275,8 @@ def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | Non
     run, fit = live.run, live.fit
     wish = replace(live.request, terms=columns, per_run=())
     design = Design(run, wish, scale_factor or fit.design.scale_factor)
-    positions = repetitions(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
-    summary = bare_summary(live.name, live.request, design, fit.noise, positions, live.undetermined)
+    rows = reduce_positions(design, fit.mode, fit.noise)
+    summary = bare_summary(live.name, live.request, design, fit.noise, rows, live.undetermined)
     return replace(summary, **_described(fit))
 
 
@@ -443,7 +339,7 @@ def _source_summary(source: Source, run: Run, noise: Noise) -> SourceSummary:
 
 def _described(fit: Fit) -> dict[str, Any]:
     """Segments and figures of a run from its own fit."""
-    residuals = find_residuals(fit.design, fit.solution.values, fit.noise, fit.mode)
+    residuals = find_residuals(fit.design, fit.values, fit.noise, fit.mode)
     return {
         "segments": segment_table(fit.design, residuals),
         "figures": residual_figures(residuals),
@@ -461,16 +357,6 @@ def residual_figures(residuals: Residuals) -> dict[str, Any]:
         "residual_max_before": largest_size(residuals.before),
         "residual_max_after": largest_size(residuals.after),
     }
-
-
-def validity_ranges(run: Run) -> dict[str, tuple[float, float]]:
-    """Range in which the calibration is valid (SI): axial and transverse force, temperature."""
-    square = run.f[:, 1] ** 2 + run.f[:, 2] ** 2
-    transverse = (math.sqrt(square.min()), math.sqrt(square.max()))
-    ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max())), "a_t": transverse}
-    if run.temperature is not None:
-        ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))
-    return ranges
 
 
 def provenance(inputs: dict[str, str], options: dict[str, Any]) -> Provenance:

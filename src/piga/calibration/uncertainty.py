@@ -39,7 +39,7 @@ from piga.results import Array
 
 if TYPE_CHECKING:
     from piga.calibration.joint import JointFit
-    from piga.calibration.summary import SourceSummary
+    from piga.calibration.merged import SourceSummary
 
 _TRIALS = 200_000
 """Trials. They give an end of a 95 % interval to 0.6 % of u."""
@@ -228,7 +228,7 @@ def monte_carlo_intervals(fit: JointFit, budget: Budget) -> tuple[tuple[Coeffici
     able = live is not None and live.fit.mode == "increments" and len(fit.estimate.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None
-    base, names, results = fit.column_values(0)[0], fit.wanted(0), _results(fit)
+    base, names, results = fit.values_of(fit.estimate, 0)[0], fit.wanted(0), _results(fit)
     jacobian = fit.estimate.jacobians[0]
     std = np.sqrt(np.diag(jacobian @ fit.interval.covariance @ jacobian.T))
     steps = np.diag(1e-3 * np.maximum(std, 1e-300))

@@ -258,14 +258,6 @@ def with_scatter(parts: Sequence[Reduction], noise: Noise) -> list[Reduction]:
     return [part.without((RATE,), float(own)) for part, own in zip(parts, variances, strict=True)]
 
 
-def of_segments(parts: Sequence[Reduction], positions: Positions) -> list[Reduction]:
-    """One triangle per segment, from triangles of positions."""
-    return [
-        Reduction.stacked([part for part, own in zip(parts, positions.segments, strict=True) if own == segment])
-        for segment in range(int(positions.segments.max()) + 1)
-    ]
-
-
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     """Observed minus modelled increments and their intervals, for ``values`` (segments, m)."""
     d, h = stored(np.zeros(design.run.size)), stored(np.zeros(design.run.size))

@@ -18,10 +18,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit import repetitions
-from piga.calibration.joint import JointFit, Wish, effects, merge_runs
+from piga.calibration.joint import JointFit, effects, merge_runs
+from piga.calibration.merged import Wish
 from piga.calibration.model.design import Design
-from piga.calibration.servo import reduce_settled
 from piga.calibration.summary import RunSummary, bare_summary, with_sources
 from piga.calibration.weights import (
     RATE,
@@ -230,8 +229,7 @@ def _reduced(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Design, s
     noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
-    design, rows = reduce_settled(design, mode, noise)
-    return design, mode, bare_summary("", wish, design, noise, repetitions(design, noise, rows))
+    return design, mode, bare_summary("", wish, design, noise, reduce_positions(design, mode, noise))
 
 
 def _solved(request: PlanRequest, summary: RunSummary) -> JointFit:
@@ -284,15 +282,14 @@ def predict(request: PlanRequest, name: str, visits: tuple[Visit, ...]) -> Predi
     except IdentifiabilityError as error:
         return Prediction(name, visits, duration, refusal=_of_plan(error))
     named, covariance = fit.named(fit.estimate, fit.estimate.covariance)
-    raw = design.with_servo(None)
-    if raw.run.resolution > 0.0:
-        stated = _stated_with_counts(request, raw, mode, fit)
+    if design.run.resolution > 0.0:
+        stated = _stated_with_counts(request, design, mode, fit)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
     coefficients = tuple(
         replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, fit.degrees, strict=True)
     )
-    values = np.tile(fit.column_values(0), (len(raw.run.labels) // len(summary.labels), 1))
-    moved = replace(fit, summaries=(with_sources(summary, raw, design, values, mode),))
+    fitted, values = fit.design_at(design, fit.estimate, fit.servo)
+    moved = replace(fit, summaries=(with_sources(summary, design, fitted, values, mode),))
     squares = sum(
         (np.sum(change**2, axis=0) for _, change in effects(moved, stated=True)), np.zeros(len(named))
     )

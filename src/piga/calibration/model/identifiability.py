@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Layout, layout_of, merged_groups
+from piga.calibration.model.solution import Layout
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.calibration.diagnostics import SegmentScatter
@@ -100,12 +99,6 @@ class Examination:
 def term_of(column: str) -> str:
     """The term of a linear column; ``p`` and ``q`` belong to the coupling."""
     return "tan_beta" if column in ("p", "q") else column
-
-
-def examine(design: Design, summaries: list[Reduction]) -> Examination:
-    """Rank and condition of the request for one run, with one phase per segment or one for all."""
-    parts = merged_groups(summaries, design.groups[: len(summaries)])
-    return examine_parts(layout_of(design, len(parts)), parts)
 
 
 def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:

@@ -186,45 +186,12 @@ class Estimate:
         return len(self.amplitudes) + len(self.phases)
 
 
-@dataclass(frozen=True)
-class Solution(Estimate):
-    """Estimate of one run; ``values`` (segments, m) are the column coefficients of every segment."""
-
-    values: Array
-
-
 def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[Reduction]:
     """One summary per phase group, from summaries per segment."""
     return [
         Reduction.stacked([part for part, own in zip(summaries, groups, strict=True) if own == group])
         for group in range(max(groups) + 1)
     ]
-
-
-def solve(design: Design, summaries: list[Reduction]) -> Solution:
-    """Estimate from one summary per segment, with the phases of the design.
-
-    The summaries may cover only the first segments.
-    """
-    groups = design.groups[: len(summaries)]
-    count = max(groups) + 1
-    parts = merged_groups(summaries, groups)
-    layout = layout_of(design, count)
-    estimate = solve_parts(layout, parts)
-    if count == 1:
-        linear = estimate.jacobians[0] @ np.append(estimate.amplitudes, np.zeros(estimate.phases.size))
-        values = np.tile(linear, (len(groups), 1))
-    else:
-        values = np.array([layout.linear(estimate.amplitudes, estimate.phases[g], g) for g in groups])
-    return Solution(
-        estimate.amplitudes,
-        estimate.phases,
-        estimate.covariance,
-        estimate.cost,
-        estimate.jacobians,
-        values,
-        shift=estimate.shift,
-    )
 
 
 def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
@@ -436,17 +403,6 @@ def _inverse_information(R: Array, first_phase: int) -> Array:
 
 Owner = tuple[str | None, str | None]
 """Segment and run of a phase; None if the phase serves all of them."""
-
-
-def name_coefficients(
-    design: Design, solution: Estimate, covariance: Array
-) -> tuple[tuple[Coefficient, ...], Array]:
-    """Coefficients of one run in file units and their covariance in the same units and order."""
-    count = solution.phases.size
-    owners: list[Owner] = [(label if design.per_segment else None, None) for label in design.run.labels[:count]]
-    layout = layout_of(design, max(count, 1))
-    run, terms = design.run, design.request.terms
-    return name_parameters(layout, solution, covariance, run.scale_factor, terms, owners, run.unit)
 
 
 def name_parameters(

@@ -15,9 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from piga.calibration.fit import repetitions
 from piga.calibration.intervals import parameter_rows
 from piga.calibration.joint import JointFit, merge_runs
+from piga.calibration.merged import repetitions
 from piga.calibration.model.design import STIFFNESS_COLUMNS, Design, ServoState, phaseless_columns
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.sources import across_squared
