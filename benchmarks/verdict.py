@@ -63,9 +63,9 @@ def nominal(stand: dict[str, Any], labels: list[str], uncertainty: dict[str, Any
     """The record of a stand as piga knows it, without an output."""
     inside = np.arange(0.0, DWELL + 0.5 * STEP, STEP)
     t = np.add.outer((DWELL + MOVE) * np.arange(len(labels)), inside).ravel()
-    segment = np.repeat(np.arange(len(labels)), inside.size)
+    segment = np.repeat(labels, inside.size)
     return piga.Run.from_arrays(
-        t, np.zeros(t.size), None, scale_factor="0.8884 rad/s/g", segment=segment, labels=labels, stand=stand,
+        t, np.zeros(t.size), None, scale_factor="0.8884 rad/s/g", segment=segment, stand=stand,
         uncertainty=uncertainty, units="SI",
     )  # fmt: skip
 

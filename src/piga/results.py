@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -201,21 +201,6 @@ def plain(value: Any) -> Any:
     return msgspec.to_builtins(value, enc_hook=lambda item: item.tolist())
 
 
-class Correlated(Protocol):
-    """A number that knows its uncertainty and what it is correlated with, of the package ``uncertainties``."""
-
-    def __add__(self, other: Correlated | float, /) -> Correlated: ...
-    def __radd__(self, other: float, /) -> Correlated: ...
-    def __sub__(self, other: Correlated | float, /) -> Correlated: ...
-    def __rsub__(self, other: float, /) -> Correlated: ...
-    def __mul__(self, other: Correlated | float, /) -> Correlated: ...
-    def __rmul__(self, other: float, /) -> Correlated: ...
-    def __truediv__(self, other: Correlated | float, /) -> Correlated: ...
-    def __rtruediv__(self, other: float, /) -> Correlated: ...
-    def __pow__(self, other: Correlated | float, /) -> Correlated: ...
-    def __neg__(self) -> Correlated: ...
-
-
 # -- tables --------------------------------------------------------------------------------------------
 
 
@@ -280,6 +265,12 @@ class Tabular:
         }
         times = {name: variables.pop(name) for name in ("t",) if name in variables}
         return needed("xarray").Dataset(variables, times, {"notes": list(self.table_notes())})
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> dict[str, Column]:
+    """Columns of a table from its rows: a value by name. A name that has no unit here has the unit 1."""
+    names = list(rows[0]) if rows else []
+    return {name: Column(np.array([row[name] for row in rows]), units.get(name, "1")) for name in names}
 
 
 def _plain_column(column: Column) -> NDArray[Any]:

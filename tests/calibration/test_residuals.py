@@ -93,10 +93,9 @@ def whole_counts(angles: tuple[float, ...], rate: float) -> piga.Run:
     f = np.zeros((output.size, 3))
     f[:, 0] = np.repeat(a_x, inside.size)
     segment = np.repeat(np.arange(a_x.size), inside.size)
-    labels = [f"{k}" for k in range(a_x.size)]
     t = np.add.outer(65.0 * np.arange(a_x.size), inside).ravel()
     return piga.Run.from_arrays(
-        t, output.ravel(), f, scale_factor="0.8884 rad/s/g", segment=segment, labels=labels, units="SI"
+        t, output.ravel(), f, scale_factor="0.8884 rad/s/g", segment=segment, units="SI"
     )
 
 

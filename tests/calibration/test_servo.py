@@ -11,8 +11,7 @@ from piga._kernels.estimation import servo_columns
 from piga.calibration import RunSummary
 from piga.calibration.calibrate import calibrate
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError, RunFileError, UnitError
-from piga.records.distribution import Given, GivenParameter
-from piga.records.run_file import EstimationTable, ServoTable
+from piga.records.run_file import EstimationTable, Given, GivenParameter, ServoTable
 from piga.units import G0
 from tests.calibration.made.servo_data import (
     DAMPING,

@@ -18,8 +18,8 @@ from piga.calibration.sources import sources, with_units
 from piga.calibration.weights import reduce_positions
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
-from piga.records.distribution import GivenParameter
 from piga.records.run import Run
+from piga.records.run_file import GivenParameter
 from tests.calibration.made.servo_data import head, levels, recorded
 from tests.calibration.made.synthetic import at_rest, record
 

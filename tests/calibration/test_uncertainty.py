@@ -14,8 +14,7 @@ from piga.calibration.residuals import count_of
 from piga.calibration.uncertainty import propagate_distributions, size_limits, source_draws
 from piga.errors import RunFileError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
-from piga.records.distribution import Spread, shape_of, standard_uncertainty
-from piga.records.run_file import UncertaintyTable
+from piga.records.run_file import Spread, UncertaintyTable, shape_of, standard_uncertainty
 from tests.calibration.made.independent import Bench
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.synthetic import at_rest, record

@@ -19,9 +19,8 @@ from piga.certificate.certificate_file import read_certificate_file
 from piga.certificate.xml_signature import load_certificate, read_xml
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
-from piga.records.limits import open_regular, read_whole
 from piga.records.run_file import read_run_file
-from tests.cli.runner import exit_code
+from piga.records.text_files import open_regular, read_whole
 from tests.records.files import lines, write_log, write_run
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -137,32 +136,3 @@ def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
         run = piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
         assert run.labels == ("b", "a", "c")
         assert np.bincount(run.segment_index).tolist() == [20, 10, 10]
-
-
-@pytest.mark.parametrize("place", [".", "folder", "/dev/null"])
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("check",),
-        ("calibrate",),
-        ("init",),
-        ("plan",),
-        ("convert", "--out", "o.parquet"),
-        ("simulate", "--out", "o"),
-    ],
-    ids=lambda words: words[0],
-)
-def test_a_folder_in_place_of_a_file_is_one_sentence(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    command: tuple[str, ...],
-    place: str,
-) -> None:
-    (tmp_path / "folder").mkdir()
-    monkeypatch.chdir(tmp_path)
-    assert exit_code(command[0], place, *command[1:]) == 2
-    message = capsys.readouterr().err
-    assert "folder" in message or "device" in message
-    assert "Traceback" not in message
-    assert message.count("remedy:") == 1

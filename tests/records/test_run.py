@@ -173,16 +173,11 @@ def test_something_else_is_no_table():
         piga.Run.from_dataframe(3, scale_factor=SCALE)
 
 
-def test_text_in_a_number_column_is_refused(run):
-    with pytest.raises(piga.DataError, match="column 'psi' holds"):
-        piga.Run.from_dataframe(a_table(run) | {"psi": np.array(["x"] * 800, dtype=object)}, **LAB)
-
-
 def test_arrays_take_what_a_run_file_takes():
     gaps = np.zeros(800, bool)
     gaps[[100, 500]] = True
     run = a_run(
-        labels=["up", "down"],
+        segment=np.repeat(["up", "down"], 400),
         gaps=gaps,
         temperature=np.full(800, 293.0),
         uncertainty={"reference_scale": "10 ppm"},
@@ -216,9 +211,7 @@ def test_a_stand_gives_the_reference_of_arrays():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"labels": ["one"]}, "1 names for 2 segments"),
         ({"gaps": np.zeros(3, bool)}, "gaps: shape"),
-        ({"gaps": np.zeros(800)}, "gaps: shape"),
         ({"model": {"terms": ["k99"]}}, "unknown term 'k99'"),
         ({"estimation": {"method": "best"}}, r"\[estimation.method\]: 'best'"),
         ({"uncertainty": {"reference_size": 1}}, "unknown key 'reference_size'"),
@@ -271,26 +264,6 @@ def test_rows_are_left_out_and_no_increment_crosses_them(run):
         run.without(np.zeros(3, bool))
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["counts", "angle", "rate"])
-def test_a_simulated_test_is_a_run_without_a_file(kind):
-    from piga.earth import Site
-    from piga.instrument import Electronics
-    from piga.stand import DividingHead, Specimen
-
-    inst = piga.Instrument(scale_factor=SCALE, beta="500 arcsec", alpha0=0.2)
-    head = DividingHead(Site(0.7), positions=(0.1, 0.9, 2.2, 3.9), dwell=20.0)
-    test = piga.simulate_test(head, Specimen(inst), Electronics(sample_rate=10.0, kind=kind))
-    phases = "per-segment" if kind == "rate" else "shared"  # a log of rates loses its zero in each move
-    run = test.to_run("S-1", model={"phases": phases})
-    assert run.serial == "S-1"
-    assert len(run.labels) == 4
-    calibration = piga.calibrate(run, ["scale_factor", "tan_beta"])
-    assert calibration["tan_beta"].value == pytest.approx(
-        inst.tan_beta, abs=max(6.0 * calibration["tan_beta"].std, 2e-5)
-    )
-
-
 def test_units_that_a_frame_states_are_used(run):
     """Those of ``attrs``, as ``to_dataframe`` writes them; the caller's own come first."""
     frame = pd.DataFrame(a_table(run))
@@ -319,14 +292,6 @@ def test_arrays_that_do_not_fit(change: dict[str, object], message: str) -> None
     }
     with pytest.raises(piga.ArgumentError, match=message):
         Run.from_arrays(scale_factor="0.8884 rad/s/g", **arrays, units="SI")
-
-
-def test_time_may_begin_anew_with_a_segment() -> None:
-    run = Run.from_arrays(
-        t=np.array([5.0, 6.0, 0.0, 1.0]), output=np.arange(4.0), f=np.ones((4, 3)), segment=np.array([0, 0, 1, 1]),
-        scale_factor="0.8884 rad/s/g", units="SI",
-    )  # fmt: skip
-    assert run.size == 4
 
 
 def test_units_of_arrays_are_stated(run):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import accumulate
 from typing import Any, Literal
@@ -108,7 +108,7 @@ def make_result(
         scale_factor_tolerance=max((one.run.model.tolerance for one in live), default=0.01),
         gravity="; ".join(dict.fromkeys(filter(None, (gravity_in_words(one.run) for one in live)))),
         budget=budget,
-        diagnostics=_tested(fit, held, kind).with_scatter(scatter),
+        diagnostics=replace(_tested(fit, held, kind), **asdict(scatter)),
         segments=tuple(segments),
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,

@@ -15,9 +15,16 @@ from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
 from piga.records.arrays import empty, norms, scaled, spans
 from piga.records.calibration.coefficient import StandSource
-from piga.records.distribution import shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import ASSUMED_SOURCES, UNCERTAINTY_UNITS, Draw, UncertaintyTable, drawn_for
+from piga.records.run_file import (
+    ASSUMED_SOURCES,
+    UNCERTAINTY_UNITS,
+    Draw,
+    UncertaintyTable,
+    drawn_for,
+    shape_of,
+    standard_uncertainty,
+)
 from piga.results import Array
 from piga.stand import stand_changes
 from piga.units import G0, from_si, to_si

@@ -33,10 +33,9 @@ from piga.records.arrays import largest_size
 from piga.records.calibration.calibration import Provenance
 from piga.records.calibration.coefficient import Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
-from piga.records.limits import read_whole
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_name, harmonic, turns
-from piga.records.text_files import JsonError, json_object
+from piga.records.text_files import JsonError, json_object, read_whole
 from piga.results import Array, Result
 from piga.terms import LOGGED_TERMS, TERMS
 from piga.threads import one_thread

@@ -29,7 +29,7 @@ from piga.campaign.shards import LOCK, Campaign, ShardReport, compile_kernels, r
 from piga.errors import ArgumentError, PigaError, missing_package
 from piga.progress import Progress
 from piga.progress import report as report_progress
-from piga.records.limits import first_line
+from piga.records.text_files import first_line
 
 _POLL = 0.5
 """Time between two reports of the progress [s]."""

@@ -29,8 +29,8 @@ from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
 from piga.records.arrays import empty, spans
 from piga.records.calibration.calibration import Calibration
-from piga.records.limits import LARGEST_SAMPLE
 from piga.records.run import Run, begins_stretch
+from piga.records.text_files import LARGEST_SAMPLE
 from piga.results import Array
 
 NONE = np.zeros(0)

@@ -22,7 +22,7 @@ from piga.describe.log import LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
 from piga.errors import DataError, PigaError
 from piga.records.run import Run
-from piga.records.text_files import toml_bytes, toml_document, toml_key, toml_text, toml_value, written_key
+from piga.records.text_files import toml_document, toml_key, toml_text, toml_value
 from piga.results import Array
 from piga.stand.run_reference import read_run
 from piga.units import parse_unit
@@ -208,8 +208,7 @@ def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
     file that is not on disk.
     """
     try:
-        raw = toml_bytes(path) if content is None else content
-        document: Document = toml_document(path, raw)
+        document: Document = toml_document(path, content)
     except PigaError:
         return []
     kept: list[Change] = []
@@ -224,8 +223,7 @@ def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
     if isinstance(_read(path, document), PigaError):
         return []
     return [
-        Suggestion(table, f"{toml_key(written_key(raw, table, key))} = {_shown(value)}", reason)
-        for table, key, value, reason in kept
+        Suggestion(table, f"{toml_key(key)} = {_shown(value)}", reason) for table, key, value, reason in kept
     ]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import EXTRAS, DataError, Fix, PigaError, Where, install_command
 from piga.records.calibration.diagnostics import Event
-from piga.records.limits import first_line, open_regular
+from piga.records.text_files import first_line, open_regular
 from piga.results import Column, arrow_table
 
 CHUNK_ROWS = 1 << 16

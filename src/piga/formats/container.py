@@ -31,7 +31,7 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.reader import Fault, Faults, missing_hint
 from piga.records.calibration.diagnostics import Event
-from piga.records.limits import check_unpacked, open_regular
+from piga.records.text_files import check_unpacked, open_regular
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from piga.errors import CalibrationError
 from piga.formats.columns import CHUNK_ROWS, RecordStream, refusal
 from piga.records.calibration.calibration import Calibration
-from piga.records.limits import first_line, open_regular
 from piga.records.run import Run
-from piga.records.text_files import toml_text
+from piga.records.text_files import first_line, open_regular, toml_text
 from piga.results import arrow_table
 
 if TYPE_CHECKING:

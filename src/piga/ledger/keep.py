@@ -15,8 +15,8 @@ from piga.output import check_results
 from piga.reading.columns import stand_files
 from piga.records import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes, calibration_to_bytes
-from piga.records.limits import read_whole
 from piga.records.run_file import read_run_file
+from piga.records.text_files import read_whole
 
 if TYPE_CHECKING:
     from piga.ledger.store.documents import Position

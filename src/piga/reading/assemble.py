@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +36,8 @@ from piga.records.terms import integral_unit, scale_factor_in
 from piga.records.text_files import toml_bytes
 from piga.results import Array
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
+from piga.upper import doors
 
-_StandReference = Callable[
-    [dict[str, Any], Path, Array, NDArray[np.int32], tuple[str, ...]], tuple[Array, Array]
-]
-"""Specific force and base rate of a ``[stand]`` table: (table, folder, t, segment, labels) to (n, 3) each."""
 _LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
 _LEAST_TURN = 0.5
@@ -51,18 +46,8 @@ _WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
 
-def read_record(
-    path: str | Path,
-    stand_reference: _StandReference,
-    *,
-    need_reference: bool = True,
-    content: bytes | None = None,
-) -> Run:
-    """Read a recorded test: :func:`piga.read_run`, which calls this with the stands of piga.
-
-    ``stand_reference`` computes the reference if ``[data]`` has none and a ``[stand]`` table describes it.
-    """
-    path = Path(path)
+def read_record(path: Path, *, need_reference: bool = True, content: bytes | None = None) -> Run:
+    """Read a recorded test: :func:`piga.read_run`."""
     check_results(path.parent)
     content = toml_bytes(path) if content is None else content
     run_file = read_run_file(path, content)
@@ -74,15 +59,15 @@ def read_record(
         for name in stand_files(run_file.stand):
             stack.enter_context(steady(path.parent / name, "[stand] file is relative to the run file"))
             inputs[name] = file_digest(path.parent / name)
-        run = assemble(path, run_file, raw, stand_reference)
+        run = assemble(path, run_file, raw)
     run.input_sha256.update(inputs)
     return run
 
 
-def read_stream(path: Path, run_file: RunFile, stream: RecordStream, stand_reference: _StandReference) -> Run:
+def read_stream(path: Path, run_file: RunFile, stream: RecordStream) -> Run:
     """A run from a stream of rows in memory. ``path`` names the stream in messages, and is the source of the run."""
     _check_reference(path, run_file)
-    return assemble(path, run_file, collect(path, run_file.data, stream), stand_reference)
+    return assemble(path, run_file, collect(path, run_file.data, stream))
 
 
 def _check_reference(path: Path, run_file: RunFile) -> None:
@@ -95,7 +80,7 @@ def _check_reference(path: Path, run_file: RunFile) -> None:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _StandReference) -> Run:
+def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
     """Make a run of the columns of a data file: leave rows out, find gaps, convert, check. ``path`` is the run file."""
     data, instrument, rows_read = run_file.data, run_file.instrument, raw.count
     if isinstance(data.segment, PositionColumn):
@@ -110,7 +95,7 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns, stand_reference: _S
     _check_enough(path, raw, data, base, rows_read)
     if data.sequence is not None:
         note_sequence(raw, raw.numbers[data.sequence.column], data.sequence.wraps_at, base.begins)
-    f, base_rate = _reference(path, run_file, raw, t, stand_reference)
+    f, base_rate = _reference(path, run_file, raw, t)
     scale = _output_scale(run_file, raw)
     scale_factor = scale_factor_in(instrument.scale_factor, run_file.unit)
     gyro = instrument.kind == "gyro"
@@ -195,13 +180,12 @@ def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, 
     raise raw.refusal("fewer than two usable rows with increasing time", f"check {path}")
 
 
-def _reference(
-    path: Path, run_file: RunFile, raw: RawColumns, t: Array, stand_reference: _StandReference
-) -> tuple[Array, Array | None]:
+def _reference(path: Path, run_file: RunFile, raw: RawColumns, t: Array) -> tuple[Array, Array | None]:
     data, stand = run_file.data, run_file.stand
     f, base_rate = _axes(raw, data.reference, "m/s^2"), _axes(raw, data.base_rate, "rad/s")
     if f is None and stand is not None:
-        f, stand_rate = stand_reference(stand, path.parent, t, raw.segment, raw.labels)
+        perfect = doors().run_reference()
+        f, stand_rate = perfect.stand_reference(stand, path.parent, t, raw.segment, raw.labels)
         base_rate = stand_rate if base_rate is None else base_rate
     return np.full((t.size, 3), np.nan) if f is None else f, base_rate
 

@@ -194,14 +194,11 @@ def unwrapped(
     def refusal(words: str, remedy: str, at: int | None = None, key: str = "") -> DataError:
         return raw.refusal(f"column '{name}': {words}", remedy, name, at=at, key=key)
 
-    bad = (
-        np.flatnonzero((values != np.rint(values)) | (np.abs(values) >= 2.0**53)).tolist()
-        if scale.counts
-        else []
-    )
-    if bad:
+    whole = (values == np.rint(values)) & (np.abs(values) < 2.0**53) if scale.counts else np.ones(1, np.bool_)
+    if not whole.all():
+        at = int(np.argmin(whole))
         remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
-        raise refusal(f"{values[bad[0]]:.15g} is not a whole count", remedy, bad[0])
+        raise refusal(f"{values[at]:.15g} is not a whole count", remedy, at)
     step = changes(values) if scale.counts or span is not None else values
     if span is None:
         psi = scaled(values, scale.factor)
@@ -210,9 +207,9 @@ def unwrapped(
         if values[top] - values.min() > span:
             words = f"{values[top]:.17g} lies outside the range of {span:.17g}"
             raise refusal(words, "correct [instrument] counter_bits (or wraps_at)", top, "counter_bits")
-        whole = np.round(step / span)
-        wraps = int(np.count_nonzero(whole[~begins]))
-        step -= np.multiply(whole, span, out=whole)
+        folds = np.round(step / span)
+        wraps = int(np.count_nonzero(folds[~begins]))
+        step -= np.multiply(folds, span, out=folds)
         if wraps:
             raw.events.append(Event("counter-roll-over", wraps, None, "unwrapped"))
         fastest, half = largest, 0.5 * span * scale.factor

@@ -22,9 +22,9 @@ from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored, taken
 from piga.records.calibration.diagnostics import Event, counted
-from piga.records.limits import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
+from piga.records.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
 from piga.results import Array
 from piga.units import conversion_factor, parse_unit, to_si
 

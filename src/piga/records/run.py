@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from piga.errors import ArgumentError
 from piga.records.arrays import changes, stored
 from piga.records.calibration.diagnostics import Event, Quality, counted
-from piga.records.distribution import GivenParameter
 from piga.records.run_file import (
     EstimationTable,
+    GivenParameter,
     ModelTable,
     UncertaintyTable,
     check_direct_unit,
@@ -29,7 +29,7 @@ from piga.records.run_file import (
     refuse,
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
-from piga.records.text_files import RENAMED, convert_table
+from piga.records.text_files import convert_table
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 from piga.terms import LOGGED_TERMS
 from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text
@@ -203,7 +203,6 @@ class Run(Result, Plotted, Reported, Tabular):
         temperature: ArrayLike | None = None,
         vibration: ArrayLike | None = None,
         segment: ArrayLike | None = None,
-        labels: Sequence[str] | None = None,
         gaps: ArrayLike | None = None,
         resolution: float = 0.0,
         serial: str = "",
@@ -229,9 +228,8 @@ class Run(Result, Plotted, Reported, Tabular):
             ``{"f": "g", "output": "deg"}``: an argument that it does not name is SI, but ``f`` must be named.
         base_rate, temperature, vibration:
             Inertial rate of the base (n, 3), temperature (n,), and root mean square of the vibration along X0 (n,).
-        segment, labels:
-            Segment of each sample (n,): numbers, or names. ``labels`` names the numbers, in rising order. A name that
-            returns later is a new segment ``name#2``, as in files.
+        segment:
+            Segment of each sample (n,): numbers, or names. A name that returns later is a new segment ``name#2``, as in files.
         gaps:
             True (n,) where a stretch begins, in addition to the gaps of the clock.
         resolution, serial:
@@ -268,7 +266,7 @@ class Run(Result, Plotted, Reported, Tabular):
             if values is not None
         }
         t = arrays["t"]
-        places, names = _segments(segment, labels, t.size)
+        places, names = _segments(segment, t.size)
         if f is None:
             if stand is None:
                 raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
@@ -276,11 +274,12 @@ class Run(Result, Plotted, Reported, Tabular):
             arrays["f"] = np.asarray(force, order="F")
             if unit == GYRO:
                 arrays.setdefault("base_rate", np.asarray(rate, order="F"))
-        for message, remedy in _wrong_arrays(arrays, places, kind):
+        marks = np.zeros(t.size, np.bool_) if gaps is None else np.asarray(gaps, np.bool_)
+        for message, remedy in _wrong_arrays(arrays, places, marks, kind):
             raise ArgumentError(message, remedy=remedy)
         row = np.arange(1, t.size + 1, dtype=np.int64)
         base = examine_time(t, places, row)
-        budget = _table("uncertainty", uncertainty, UncertaintyTable)
+        budget = convert_table("uncertainty", uncertainty or {}, UncertaintyTable)
         refuse(faults_of_waived(budget))
         with numbers_are_si(si):
             nominal = scale_factor_in(scale_factor, unit)
@@ -292,13 +291,13 @@ class Run(Result, Plotted, Reported, Tabular):
             **columns,
             segment_index=places,
             labels=names,
-            begins=base.begins | _gaps(gaps, t.size),
+            begins=base.begins | marks,
             phase_group=(0,) * len(names),
             row=row,
             resolution=resolution,
             quality=Quality(rows=t.size, used=t.size, masked=0, events=base.events),
-            model=_table("model", model, ModelTable).of(unit, "model terms"),
-            estimation=_table("estimation", estimation, EstimationTable),
+            model=convert_table("model", model or {}, ModelTable).of(unit, "model terms"),
+            estimation=convert_table("estimation", estimation or {}, EstimationTable),
             uncertainty=budget,
             stand=stand,
             computed_reference=f is None,
@@ -390,9 +389,9 @@ class Run(Result, Plotted, Reported, Tabular):
                 "temperature": None if temperature is None else {"column": temperature},
                 "segment": segment,
             },
-            "model": _table("model", model, ModelTable).of(unit, "model terms"),
-            "estimation": _table("estimation", estimation, EstimationTable),
-            "uncertainty": _table("uncertainty", uncertainty, UncertaintyTable),
+            "model": convert_table("model", model or {}, ModelTable).of(unit, "model terms"),
+            "estimation": convert_table("estimation", estimation or {}, EstimationTable),
+            "uncertainty": convert_table("uncertainty", uncertainty or {}, UncertaintyTable),
             "stand": stand,
         }
         told = {} if units is None or isinstance(units, str) else dict(units)
@@ -436,18 +435,15 @@ class Run(Result, Plotted, Reported, Tabular):
         ArgumentError
             If a row is not in the record, or fewer than two samples are left.
         """
-        named = np.atleast_1d(np.asarray(rows))
+        named, wrong = np.atleast_1d(np.asarray(rows)), ""
         if named.dtype != np.bool_:
-            strange = named[~np.isin(named, self.row)]
-            if strange.size:
-                raise ArgumentError(
-                    f"without: row {strange[0]} is not in the record", remedy="name rows of run.row"
-                )
-            named = np.isin(self.row, named)
+            strange, named = named[~np.isin(named, self.row)], np.isin(self.row, named)
+            wrong = f"row {strange[0]} is not in the record" if strange.size else ""
         elif named.shape != (self.size,):
+            wrong = f"{named.size} truth values for {self.size} samples"
+        if wrong:
             raise ArgumentError(
-                f"without: {named.size} truth values for {self.size} samples",
-                remedy="give one truth value per sample, or rows of run.row",
+                f"without: {wrong}", remedy="name rows of run.row, or give a truth value per sample"
             )
         return self._cut(~named, f"without {int(np.count_nonzero(named))} rows")
 
@@ -474,15 +470,8 @@ class Run(Result, Plotted, Reported, Tabular):
         )
 
 
-T = TypeVar("T")
 _UNITS = {"f": "m/s^2", "base_rate": "rad/s", "temperature": "K", "vibration": "m/s^2"}
 """SI unit of the arrays beside the output."""
-
-
-def _table(name: str, given: T | dict[str, object] | None, kind: type[T]) -> T:
-    if isinstance(given, dict):
-        given = {RENAMED.get((name, key), key): value for key, value in given.items()}
-    return convert_table(name, given or {}, kind)
 
 
 def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:
@@ -498,21 +487,14 @@ def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) ->
     return array * conversion_factor(units[name], like, what=f"units: {name}") + offset_to_si(units[name])
 
 
-def _segments(
-    segment: ArrayLike | None, labels: Sequence[str] | None, size: int
-) -> tuple[NDArray[np.int32], tuple[str, ...]]:
+def _segments(segment: ArrayLike | None, size: int) -> tuple[NDArray[np.int32], tuple[str, ...]]:
     given = np.zeros(size, np.int32) if segment is None else np.asarray(segment)
     if given.dtype.kind in "OUS":
         places: dict[str, int] = {}
         codes = [places.setdefault(str(name), len(places)) for name in given]
         return segments_of_visits(np.array(codes, dtype=np.int32), list(places))
     names, index = np.unique(given, return_inverse=True)
-    if labels is not None and len(labels) != names.size:
-        raise ArgumentError(
-            f"labels: {len(labels)} names for {names.size} segments", remedy="one name for each"
-        )
-    named = tuple(str(name) for name in (names if labels is None else labels))
-    return index.astype(np.int32).reshape(given.shape), named
+    return index.astype(np.int32).reshape(given.shape), tuple(map(str, names))
 
 
 def segments_of_visits(
@@ -532,19 +514,9 @@ def segments_of_visits(
     return np.repeat(index, np.diff(np.append(starts, codes.size))), tuple(names)
 
 
-def _gaps(gaps: ArrayLike | None, size: int) -> NDArray[np.bool_]:
-    if gaps is None:
-        return np.zeros(size, np.bool_)
-    marks = np.asarray(gaps)
-    if marks.shape != (size,) or marks.dtype != np.bool_:
-        raise ArgumentError(
-            f"gaps: shape {marks.shape} of {marks.dtype}, but t has {size} samples",
-            remedy="True for each sample at which a stretch begins",
-        )
-    return marks
-
-
-def _wrong_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: str) -> Iterator[tuple[str, str]]:
+def _wrong_arrays(
+    arrays: dict[str, Array], segment: NDArray[np.int32], gaps: NDArray[np.bool_], kind: str
+) -> Iterator[tuple[str, str]]:
     """What does not fit together, with argument and first index, and the remedy."""
     t = arrays["t"]
     if kind not in ("angle", "rate"):
@@ -552,7 +524,7 @@ def _wrong_arrays(arrays: dict[str, Array], segment: NDArray[np.int32], kind: st
     if t.ndim != 1 or t.size < 2:
         words = f"t: shape {t.shape}, needs at least two samples in one dimension"
         yield words, "give two or more times, in one dimension"
-    for name, array in (arrays | {"segment": segment}).items():
+    for name, array in (arrays | {"segment": segment, "gaps": gaps}).items():
         shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
             yield f"{name}: shape {array.shape}, but t has {t.size} samples", f"give shape {shape}"

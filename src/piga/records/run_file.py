@@ -6,23 +6,105 @@ data: keys, types, units, names of terms, and options that contradict each other
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NoReturn, get_args
 
 import msgspec
 
 from piga.errors import DataError, RunFileError, UnitError
 from piga.output import check_results
-from piga.records.distribution import Given, GivenParameter, Spread, given_parameter, standard_uncertainty
-from piga.records.limits import check_label
 from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
-from piga.records.text_files import read_toml, si_unit
+from piga.records.text_files import check_label, read_toml, si_unit
 from piga.units import conversion_factor, parse_unit, to_si
 
 Quantity = str | float | int
 """Text with a unit, or a number in SI."""
+
+Shape = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
+
+_DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
+"""Half-width divided by standard uncertainty (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
+
+
+class Spread(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``{ half_width = "10 ppm", distribution = "rectangular", degrees_of_freedom = 8 }``.
+
+    ``standard`` is the standard uncertainty of any distribution. ``half_width`` is the half-width of a bounded one.
+    ``value`` is the standard uncertainty of a normal or t distribution. A plain string is the standard uncertainty of
+    a normal distribution.
+    """
+
+    value: Quantity | None = None
+    standard: Quantity | None = None
+    half_width: Quantity | None = None
+    distribution: Shape = "normal"
+    degrees_of_freedom: float | None = None
+
+
+class Given(Spread, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """``{ value = "3000 N m/(rad s)", standard = "60 N m/(rad s)" }``: a value with its uncertainty, as in :class:`Spread`."""
+
+    value: Quantity
+
+
+@dataclass(frozen=True)
+class GivenParameter:
+    """A parameter given in a file: SI value and standard uncertainty; ``unit`` and distribution for the budget."""
+
+    name: str
+    value: float
+    standard: float
+    unit: str
+    distribution: str = "normal"
+    degrees_of_freedom: float = math.inf
+
+
+def given_parameter(name: str, given: Given | str | float, like: str, what: str) -> GivenParameter:
+    """A parameter in SI with its standard uncertainty (0 if none is given). ``what`` names the entry in messages."""
+    entry = given if isinstance(given, Given) else Given(value=given)
+    value = to_si(entry.value, like, what=what)
+    if entry.standard is None and entry.half_width is None:
+        return GivenParameter(name, value, 0.0, like)
+    spread = Spread(None, entry.standard, entry.half_width, entry.distribution, entry.degrees_of_freedom)
+    return GivenParameter(name, value, standard_uncertainty(spread, like, what), like, *shape_of(spread))
+
+
+def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> float:
+    """Standard uncertainty in SI. An entry that is negative, ambiguous or incomplete is refused."""
+    spread = given if isinstance(given, Spread) else Spread(standard=given)
+    named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
+    bounded, shape, nu = spread.distribution in _DIVISORS, spread.distribution, spread.degrees_of_freedom
+
+    def refuse(message: str, remedy: str) -> NoReturn:
+        raise RunFileError(f"{what}: {message}", remedy=remedy)
+
+    if len(named) != 1:
+        refuse("give either standard or half_width", "write exactly one of them")
+    if named == ["value"] and bounded:
+        why = f"'value' of a {shape} distribution could be half-width or standard uncertainty"
+        refuse(why, "write half_width = ... or standard = ...")
+    if named == ["half_width"] and not bounded:
+        refuse(f"a {shape} distribution has no half-width", "give standard")
+    if shape == "t" and not (nu or 0.0) > 2.0:
+        refuse("distribution 't' needs more than two degrees_of_freedom", "add degrees_of_freedom")
+    if nu is not None and not nu > 0.0:
+        refuse("degrees_of_freedom must be positive", "leave it out if infinite")
+    size = to_si(getattr(spread, named[0]), like, what=what)
+    if size < 0.0:
+        refuse(f"'{getattr(spread, named[0])}' is negative", "give a standard uncertainty")
+    return size / _DIVISORS[shape] if named == ["half_width"] else size
+
+
+def shape_of(given: Spread | str | float) -> tuple[str, float]:
+    """Distribution and degrees of freedom (infinite if not given)."""
+    if not isinstance(given, Spread):
+        return "normal", math.inf
+    nu = given.degrees_of_freedom
+    return given.distribution, math.inf if nu is None else float(nu)
 
 
 def in_unit(unit: str) -> msgspec.Meta:
@@ -42,8 +124,6 @@ MOST_HEAD_ROWS = 10_000
 """Largest row number of the header or the units in a text file."""
 HeadRow = Annotated[int, msgspec.Meta(ge=1, le=MOST_HEAD_ROWS)]
 HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=2)]
-_LEAST_COUNTS, _MOST_COUNTS = 1e-6, 1e15
-"""Allowed range of counts per revolution."""
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
@@ -138,7 +218,7 @@ class InstrumentTable(TomlTable, frozen=True):
     serial: str
     scale_factor: Quantity
     kind: Literal["gyro", "direct"] = "gyro"
-    counts_per_revolution: float | None = None
+    counts_per_revolution: Annotated[float, msgspec.Meta(ge=1e-6, le=1e15)] | None = None
     counter_bits: Annotated[int, msgspec.Meta(ge=1, le=62)] | None = None
     servo: ServoTable | None = None
 
@@ -298,7 +378,7 @@ class EstimationTable(TomlTable, frozen=True):
 class UncertaintyTable(TomlTable, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
-    A string is the standard uncertainty of a normal distribution. :class:`~piga.records.distribution.Spread`
+    A string is the standard uncertainty of a normal distribution. :class:`Spread`
     describes other distributions. The entries below ``mounting_repeatability`` belong to particular stands and need
     the ``[stand]`` table. A ``..._repeatability`` has a new value in each segment (``angle_``, ``rate_``,
     ``reference_``, ``direction_``) or in each run (``mounting_``, ``levelling_``).
@@ -428,13 +508,8 @@ def _faults(run_file: RunFile) -> _Faults:
     yield from _faults_of_output(run_file)
     if (data.time is None) == (data.sample_rate is None):
         yield "[data] needs either time or sample_rate", "e.g. time = { column = 't_s', unit = 's' }"
-    if data.sample_rate is not None and not to_si(data.sample_rate, "Hz", what="[data] sample_rate") > 0.0:
-        yield "[data] sample_rate: must be positive", "e.g. '100 Hz'"
     if data.decimal is not None and data.decimal == data.delimiter:
         yield "[data] decimal and delimiter are the same character", "correct one of them"
-    what = "[instrument] scale_factor"
-    if not scale_factor_in(instrument.scale_factor, run_file.unit, what) > 0.0:
-        yield f"{what}: must be positive", "use a positive value; reverse X0 in the reference"
     if instrument.servo is not None:
         instrument.servo.parameters()
     if data.time is not None and (data.time.unit is None) == (data.time.stamp is None):
@@ -442,33 +517,34 @@ def _faults(run_file: RunFile) -> _Faults:
         yield "[data] time: give either unit or stamp", remedy
     if data.time is not None and data.time.unit is not None:
         conversion_factor(data.time.unit, "s", what="[data] time")
-    settle = data.in_si("[data] ").get("settle", 0.0)
     run_file.uncertainty.in_si("[uncertainty] ")
     yield from faults_of_waived(run_file.uncertainty)
     model.in_si("[model] ")
-    if not model.tolerance > 0.0:
-        yield "[model] scale_factor_tolerance: must be positive", 'e.g. "2 %"'
+    what, timing = "[instrument] scale_factor", data.in_si("[data] ")
+    for key, value, remedy in (
+        (what, scale_factor_in(instrument.scale_factor, run_file.unit, what), "reverse X0 in the reference"),
+        ("[data] sample_rate", timing.get("sample_rate", 1.0), "e.g. '100 Hz'"),
+        ("[model] scale_factor_tolerance", model.tolerance, "e.g. '2 %'"),
+    ):
+        if not value > 0.0:
+            yield f"{key}: must be positive", f"use a positive value; {remedy}"
+    if timing.get("settle", 0.0) < 0.0:
+        yield "[data] settle: must be zero or more", "e.g. '20 s'"
     yield from _faults_of_noise(run_file)
     stated = run_file.uncertainty.of_the_stand()
     if stated and run_file.stand is None:
         words = f"[uncertainty] {next(iter(stated))}: belongs to a stand, but there is no [stand] table"
         yield words, "add [stand] kind = '...', latitude = '...' and its positions or levels"
     yield from _faults_of_rows(data)
-    if settle < 0.0:
-        yield "[data] settle: must be zero or more", "e.g. '20 s'"
 
 
 def _faults_of_output(run_file: RunFile) -> _Faults:
-    instrument, output = run_file.instrument, run_file.data.output
-    counts, unit = instrument.counts_per_revolution, output.unit or ""
-    gyro = instrument.kind == "gyro"
+    output, gyro = run_file.data.output, run_file.instrument.kind == "gyro"
+    unit = output.unit or ""
     if not gyro:
         yield from _faults_of_direct(run_file)
-    elif output.counted and counts is None:
+    elif output.counted and run_file.instrument.counts_per_revolution is None:
         yield "[instrument] counts_per_revolution is missing, but [data] output is in counts", "add it"
-    elif output.counted and counts is not None and not _LEAST_COUNTS <= counts <= _MOST_COUNTS:
-        reach = f"{_LEAST_COUNTS:g} to {_MOST_COUNTS:g}"
-        yield f"[instrument] counts_per_revolution: must be positive, {reach}", "correct it"
     if output.counted and unit not in ("", "count", "counts", "1"):
         words = f"[data] output: unit '{unit}' cannot be used with kind '{output.kind}'"
         yield words, "leave the unit out, or set kind to 'angle' or 'rate'"
@@ -488,13 +564,13 @@ def _faults_of_output(run_file: RunFile) -> _Faults:
 
 def _faults_of_direct(run_file: RunFile) -> _Faults:
     data, instrument = run_file.data, run_file.instrument
-    belongs = {
-        "[instrument] counts_per_revolution": instrument.counts_per_revolution is not None,
-        "[instrument] servo": instrument.servo is not None,
-        "[data] base_rate": data.base_rate is not None,
-        "[data] output: kind 'angle'": data.output.kind == "angle",
+    given = {
+        "[instrument] counts_per_revolution": instrument.counts_per_revolution,
+        "[instrument] servo": instrument.servo,
+        "[data] base_rate": data.base_rate,
+        "[data] output: kind 'angle'": data.output if data.output.kind == "angle" else None,
     }
-    for key in (key for key, given in belongs.items() if given):
+    for key in (key for key, value in given.items() if value is not None):
         remedy = "kind = 'counts', or 'rate' with its unit" if "output" in key else "leave it out"
         yield f"{key} belongs to a gyro accelerometer, and [instrument] kind is 'direct'", remedy
 
@@ -508,11 +584,8 @@ def check_direct_unit(unit: str, what: str) -> None:
 
 
 def _faults_of_noise(run_file: RunFile) -> _Faults:
-    count, rms, walk = (
-        integral_unit(run_file.unit),
-        run_file.estimation.angle_rms,
-        run_file.estimation.angle_random_walk,
-    )
+    noise, count = run_file.estimation, integral_unit(run_file.unit)
+    rms, walk = noise.angle_rms, noise.angle_random_walk
     for name, value, like in (("angle_rms", rms, count), ("angle_random_walk", walk, f"{count}/sqrt(s)")):
         if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
             yield f"[estimation] {name}: '{value}' is negative", "give a standard deviation"

@@ -43,24 +43,12 @@ K are numbers in this unit, not in SI."""
 
 
 def integral_unit(unit: str) -> str:
-    """Unit of the output integrated over time.
-
-    Examples
-    --------
-    >>> integral_unit("rad/s"), integral_unit("count/s"), integral_unit("V")
-    ('rad', 'count', 'V s')
-    """
+    """Unit of the output integrated over time: rad of rad/s, count of count/s, V s of V."""
     return unit.removesuffix("/s") if unit.endswith("/s") else f"{unit} s"
 
 
 def shown_output(unit: str) -> tuple[float, str]:
-    """Unit in which an output is shown, and its size: an angle in seconds of arc, all others as they are.
-
-    Examples
-    --------
-    >>> shown_output("V"), shown_output("rad/s")[1]
-    ((1.0, 'V'), 'arcsec/s')
-    """
+    """Unit in which an output is shown, and its size: an angle in seconds of arc, all others as they are."""
     return (ARCSEC, unit.replace("rad", "arcsec", 1)) if unit.startswith("rad") else (1.0, unit)
 
 
@@ -98,11 +86,6 @@ def shown_unit(name: str, unit: str) -> tuple[float, str]:
 
     The choice depends on the coefficient, never on its value. So a column has one unit across runs and records.
     The phase ``phi`` and rates stay (the field quotes the scale factor in ``rad/s/g``).
-
-    Examples
-    --------
-    >>> shown_unit("k0", "g"), shown_unit("phi", "rad")
-    ((1000000.0, 'ug'), (1.0, 'rad'))
     """
     head, _, tail = unit.partition("/")
     if name.partition("[")[0] in ("phi", "scale_factor") or head not in ("g", "rad") or tail.startswith("s"):
@@ -140,13 +123,7 @@ def meaning_of(name: str) -> str:
 
 
 def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:
-    """Names of terms, also when they are one text: ``"scale_factor, tan_beta, k0"``.
-
-    Examples
-    --------
-    >>> term_names("scale_factor, tan_beta k0")
-    ('scale_factor', 'tan_beta', 'k0')
-    """
+    """Names of terms, also when they are one text: ``"scale_factor, tan_beta k0"``."""
     return tuple(terms.replace(",", " ").split()) if isinstance(terms, str) else tuple(terms)
 
 

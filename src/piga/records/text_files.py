@@ -1,26 +1,39 @@
-"""Read TOML and JSON files from outside into typed tables, and write TOML. Messages name file, table and key."""
+"""Files from outside: limits and checks; TOML and JSON read into typed tables; TOML written.
+
+Messages name file, table and key.
+"""
 
 from __future__ import annotations
 
 import difflib
 import json
 import math
+import os
 import re
+import stat
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import msgspec
 
-from piga.errors import ArgumentError, RunFileError
-from piga.records.limits import read_whole
+from piga.errors import ArgumentError, DataError, PigaError, RunFileError, Where
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
 
+_MAX_UNPACKED = 2 << 30
+"""Largest unpacked size of the wanted part of a container [bytes]."""
+LARGEST_SAMPLE = 1e30
+"""Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
+MAX_SEGMENTS = 100_000
+"""Largest number of different labels in the segment column of a record."""
+MOST_NAME_LETTERS = 200
+"""Most characters of a name. A file name may have 255 bytes."""
 _MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
 
@@ -42,6 +55,64 @@ _MISSING = re.compile(r"missing required field `([^`]*)`")
 _PATH = re.compile(r" - at `(?:key in )?\$\.?([^`]*)`$")
 
 
+def open_regular(
+    path: Path, wanted: str = "the file itself", error: type[PigaError] = DataError
+) -> BufferedReader:
+    """Open a file for reading. Every file from outside is opened here.
+
+    A device, a pipe or a folder is refused before anything is read from it: reading it might never end. ``wanted`` and
+    ``error`` are for the message: the file that the user should name instead, and the class of the error.
+    """
+    remedy = f"check the file name: name {wanted}"
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            return path.open("rb")
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({reason.strerror})", remedy=remedy, where=Where(path)) from None
+    except ValueError:
+        raise error(f"{str(path)!r}: is not a file name", remedy=remedy) from None
+    kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+    raise error(f"{path}: is not a regular file, but {kind}", remedy=remedy, where=Where(path))
+
+
+def read_whole(path: Path, most: int, wanted: str, error: type[PigaError] = DataError) -> bytes:
+    """All bytes of a file of at most ``most`` bytes; arguments and errors as for :func:`open_regular`."""
+    with open_regular(path, wanted, error) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        data = stream.read(most + 1) if size <= most else b""
+    if max(size, len(data)) > most:
+        raise error(f"{path}: larger than {most} bytes", remedy=f"name {wanted}", where=Where(path))
+    return data
+
+
+def check_label(text: str, what: str) -> None:
+    """Refuse a name of an instrument, run or segment that does not fit into a list, a file name and a page."""
+    if not text.strip():
+        raise DataError(f"{what} is empty", remedy="give it a name")
+    if len(text) > MOST_NAME_LETTERS:
+        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {MOST_NAME_LETTERS} or fewer")
+    odd = next((letter for letter in text if not letter.isprintable() and letter != "\u3000"), None)
+    if odd is not None:
+        raise DataError(
+            f"{what} {text[:40]!r} holds the control character {odd!r}", remedy="use letters, digits and signs"
+        )
+
+
+def first_line(error: BaseException) -> str:
+    """First line of a library's error message; the class of the error if the message is empty."""
+    text = str(error)
+    return text.splitlines()[0] if text else type(error).__name__
+
+
+def check_unpacked(path: Path, unpacked: int) -> None:
+    """Refuse a container whose unpacked size is too large, with a :class:`DataError` that states the limit."""
+    if unpacked > _MAX_UNPACKED:
+        raise DataError(
+            f"{path}: unpacks to more than {_MAX_UNPACKED >> 20} MiB", remedy="export as Parquet, or in parts"
+        )
+
+
 def toml_bytes(path: Path) -> bytes:
     """The bytes of a TOML file."""
     return read_whole(path, _MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
@@ -59,53 +130,32 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
             remedy = "give a TOML file; for the log of a test 'piga init' drafts the run file"
         raise RunFileError(f"{path}: {fault}", remedy=remedy) from None
     _check_values(path, document, "")
-    return _with_new_names(path, document)
-
-
-RENAMED = {("model", "phase"): "phases"}
-"""Keys that had another name before: the new name by table and old name. Files with the old name are read."""
-
-
-def written_key(raw: bytes, table: str, key: str) -> str:
-    """The name that a valid TOML file itself uses for a key: the former one if the file has it."""
-    entries = tomllib.loads(raw.decode("utf-8-sig")).get(table, {})
-    former = (old for (place, old), new in RENAMED.items() if (place, new) == (table, key))
-    return next((old for old in former if old in entries), key)
-
-
-def _with_new_names(path: Path, document: dict[str, Any]) -> dict[str, Any]:
-    if isinstance(document.get("run"), dict) and "earth_tide" in document["run"]:
+    model, run = document.get("model"), document.get("run")
+    if isinstance(model, dict) and "phase" in model and "phases" not in model:  # its name until 0.1
+        model["phases"] = model.pop("phase")
+    if isinstance(run, dict) and "earth_tide" in run:
         remedy = "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
         raise RunFileError(f"{path}: [run] earth_tide is not simulated any more", remedy=remedy)
-    for (table, old), new in RENAMED.items():
-        entries = document.get(table)
-        if not isinstance(entries, dict) or old not in entries:
-            continue
-        if new in entries:
-            words = f"'{old}' is the former name of '{new}', and both are given"
-            raise RunFileError(f"{path}: [{table}]: {words}", remedy=f"leave '{old}' out")
-        document[table] = {new if key == old else key: value for key, value in entries.items()}
     return document
 
 
 def _check_values(path: Path, value: object, where: str) -> None:
     """Refuse values that TOML allows but piga cannot use."""
-    if isinstance(value, dict):
-        for key, part in value.items():
-            _check_values(path, key, where)
-            _check_values(path, part, f"{where}.{key}" if where else key)
-    elif isinstance(value, list):
-        for part in value:
-            _check_values(path, part, where)
-    fault, remedy = "", "correct the value"
+    parts = value.items() if isinstance(value, dict) else ()
+    for key, part in parts:
+        _check_values(path, key, where)
+        _check_values(path, part, f"{where}.{key}" if where else key)
+    for part in value if isinstance(value, list) else ():
+        _check_values(path, part, where)
+    fault = ""
     if isinstance(value, str) and _CONTROL.search(value):
-        fault, remedy = f"{value[:40]!r} holds a control character", "use letters, digits and signs"
+        fault = f"{value[:40]!r} holds a control character"
     elif isinstance(value, float) and LARGEST < abs(value) < math.inf:
         fault = f"{value:g} is too large to compute with"
     elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
         fault = "an integer of more than 64 bits"
     if fault:
-        raise RunFileError(f"{path}: [{where}]: {fault}", remedy=remedy)
+        raise RunFileError(f"{path}: [{where}]: {fault}", remedy="correct the value")
 
 
 def files_named_in(path: Path) -> list[Path]:

@@ -28,9 +28,17 @@ from piga.formats.columns import TableStream, is_time
 from piga.reading.assemble import read_record, read_stream
 from piga.reading.columns import file_digest, stand_files
 from piga.records.arrays import empty, spans
-from piga.records.distribution import Spread, shape_of, standard_uncertainty
 from piga.records.run import Run
-from piga.records.run_file import REPEATED, Draw, RunFile, check_run_file, drawn_for
+from piga.records.run_file import (
+    REPEATED,
+    Draw,
+    RunFile,
+    Spread,
+    check_run_file,
+    drawn_for,
+    shape_of,
+    standard_uncertainty,
+)
 from piga.records.terms import GYRO
 from piga.records.text_files import convert_table, explained
 from piga.results import Array, Result
@@ -74,7 +82,7 @@ def read_run(path: str | Path, *, need_reference: bool = True, content: bytes | 
         If the data file does not hold what the run file says. The message names file, row, column and remedy.
     """
     try:
-        return read_record(path, stand_reference, need_reference=need_reference, content=content)
+        return read_record(Path(path), need_reference=need_reference, content=content)
     except (ArgumentError, UnitError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
 
@@ -294,7 +302,7 @@ def run_from_table(
         columns = run_file.data.number_columns(), run_file.data.label_column
         stream = TableStream(WHERE, arrow, *columns, remedies)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
-        return read_stream(WHERE, run_file, stream, stand_reference)
+        return read_stream(WHERE, run_file, stream)
     except msgspec.ValidationError as error:
         text, remedy = explained(str(error), RunFile, described)
         raise ArgumentError(f"{WHERE}: {text}", remedy=remedy) from None

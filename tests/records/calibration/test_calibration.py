@@ -105,14 +105,13 @@ def test_from_coefficients_compensates_as_the_estimate_does(run, cal):
 @pytest.mark.parametrize(
     ("coefficients", "settings", "said"),
     [
-        ({}, {}, "no coefficient is given"),
+        ({}, {}, "there is no positive scale factor"),
         ({"k9": 1.0}, {}, "unknown coefficient 'k9'"),
-        ({"k0": 1.0}, {}, "there is no scale factor"),
         ({"scale_factor": "0.9 rad"}, {}, "a quantity in 'rad/s/g' is needed"),
         ({"scale_factor": math.nan}, {}, "not a finite number"),
-        ({"scale_factor": -0.9}, {}, "must be positive"),
+        ({"scale_factor": -0.9}, {}, "there is no positive scale factor"),
         ({"scale_factor": 0.9, "tan_beta": -1.0}, {}, "must not be negative"),
-        ({"scale_factor": (0.9, -1e-6)}, {}, "a standard uncertainty is not negative"),
+        ({"scale_factor": (0.9, -1e-6)}, {}, "float` >= 0.0"),
         ({"scale_factor": 0.9, "k0[3]": 0.0}, {}, "only a phase can belong to a segment"),
         ({"scale_factor": 0.9}, {"covariance": np.eye(2)}, "shape \\(2, 2\\), but there are 1"),
         (
@@ -126,7 +125,7 @@ def test_from_coefficients_compensates_as_the_estimate_does(run, cal):
             {"covariance": [[1.0]]},
             "uncertainty of .scale_factor. is 0.001, but the covariance gives 1",
         ),
-        ({"scale_factor": 0.9}, {"phase_source": "both"}, "phase_source: 'both'"),
+        ({"scale_factor": 0.9}, {"phase_source": "both"}, "Invalid enum value 'both'"),
         ({"k0": Coefficient("k2", 1.0, 0.0, "g/g^2")}, {}, "'k0' is the coefficient 'k2'"),
     ],
 )

@@ -59,28 +59,6 @@ def test_back_from_the_file(joint: Calibration, tmp_path: Path) -> None:
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "c.json").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda run: run.pop("phase"), r"missing required field `phase` - at `\$\.runs\[1\]`"),
-        (lambda run: run.update(phase=3), r"at `\$\.runs\[1\]\.phase`"),
-        (lambda run: run.update(rows="many"), r"at `\$\.runs\[1\]\.rows`"),
-        (
-            lambda run: run["quality"].pop("used"),
-            r"missing required field `used` - at `\$\.runs\[1\]\.quality`",
-        ),
-    ],
-)
-def test_a_damaged_run_is_named_by_its_key(joint: Calibration, tmp_path: Path, change, message: str) -> None:
-    path = tmp_path / "c.json"
-    joint.to_json(path)
-    document = json.loads(path.read_text(encoding="utf-8"))
-    change(document["runs"][1])
-    path.write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(CalibrationError, match=rf"c\.json: not a valid calibration record: .*{message}"):
-        Calibration.from_json(path)
-
-
 def test_one_run_of_it(joint: Calibration) -> None:
     west = joint.for_run("west")
     assert [c.key for c in west.coefficients] == ["scale_factor", "k0", "phi[up]"]

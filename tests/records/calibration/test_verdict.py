@@ -17,10 +17,7 @@ from piga.records.calibration.diagnostics import Diagnostics, Event, Quality
 from piga.records.calibration.document import calibration_to_bytes
 from piga.records.calibration.verdict import SEPARATED, WELL_SEPARATED, verdict
 from piga.reports.calibration.page import page as calibration_page
-from piga.reports.render.page import page_html, page_text
-from piga.reports.trend import brief as trend_brief
-from piga.reports.trend import page as trend_page
-from piga.reports.trend import trend_document
+from piga.reports.render.page import page_html
 from piga.units import G0
 from tests.reports.example import calibration
 
@@ -138,21 +135,12 @@ def test_the_verdict_is_the_same_after_reading_back(coloured, tmp_path):
 def test_without_uncertainty_every_output_says_type_a_only(alone):
     """And none says expanded, but for the key of the file: it has one name with and without a stated budget."""
     with pytest.warns(piga.PigaWarning, match=TYPE_A_ONLY):
-        again = piga.calibrate(rate_log(), TERMS, "rate")
-    import datetime as dt
-
-    from piga.trend.history import find_trend
-
-    times = [dt.datetime(2024, 1, day, tzinfo=dt.UTC) for day in (1, 2)]
-    trend = find_trend([("a", times[0], alone), ("b", times[1], again)])
+        piga.calibrate(rate_log(), TERMS, "rate")
     outputs = {
         "terminal": " ".join(alone.summary().split()),
         "page": body(page_html(calibration_page(alone))),
         "json": calibration_to_bytes(alone).decode(),
         "repr": " ".join(repr(alone).split()),
-        "trend": page_text(trend_brief(trend)),
-        "trend page": body(page_html(trend_page(trend))),
-        "trend json": json.dumps(trend_document(trend)),
     }
     for name, text in outputs.items():
         assert TYPE_A_ONLY in text, name

@@ -19,7 +19,7 @@ from typing import Any
 from piga.errors import Fix
 from piga.formats.columns import refusal
 from piga.formats.text.convention import SNIFF_BYTES
-from piga.records.limits import open_regular
+from piga.records.text_files import open_regular
 
 GUESSED = ("gb18030", "cp1252")
 """Encodings tried for a text that is not UTF-8: Chinese Windows, Western Windows."""

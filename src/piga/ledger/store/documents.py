@@ -21,8 +21,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
-from piga.records.limits import check_label, open_regular
-from piga.records.text_files import JsonError, json_object
+from piga.records.text_files import JsonError, check_label, json_object, open_regular
 from piga.results import Result
 
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from piga.errors import ArgumentError, CalibrationError, needed
+from piga.errors import CalibrationError
 from piga.records.calibration.coefficient import (
     TYPE_A_ONLY,
     BudgetTable,
@@ -27,15 +27,15 @@ from piga.records.calibration.coefficient import (
 )
 from piga.records.calibration.diagnostics import Count, Diagnostics, Outlier, Quality, Residuals, SegmentSummary
 from piga.records.calibration.verdict import Verdict, verdict
-from piga.records.terms import GYRO, integral_unit, si_factor
+from piga.records.terms import GYRO, integral_unit
 from piga.results import (
     Array,
     ByValue,
     Column,
-    Correlated,
     Reported,
     Result,
     Tabular,
+    columns_of,
     drawn,
     first_lines,
     shortened,
@@ -45,7 +45,6 @@ from piga.upper import doors
 if TYPE_CHECKING:
     from types import ModuleType
 
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -232,66 +231,26 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     def table_columns(self) -> dict[str, Column]:
         """The coefficients as a table: one row each, in its own unit and in SI. Segment and run are empty where none is named."""
-        names = ("coefficient", "name", "segment", "run", "unit", "unit_si")
         units = dict.fromkeys(("value", "std", "expanded", "low", "high"), "as in column unit")
-        units |= {"degrees_of_freedom": "1"} | dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
+        units |= dict.fromkeys(("value_si", "std_si"), "as in column unit_si")
         rows = [
-            (
-                (c.key, c.name, c.segment or "", c.run or "", c.unit, c.si.unit),
-                (c.value, c.std, c.expanded, *c.limits, c.degrees_of_freedom, c.value_si, c.si.std),
-            )
+            {
+                "coefficient": c.key,
+                "name": c.name,
+                "segment": c.segment or "",
+                "run": c.run or "",
+                "unit": c.unit,
+            }
+            | {"unit_si": c.si.unit, "value": c.value, "std": c.std, "expanded": c.expanded}
+            | {"low": c.limits[0], "high": c.limits[1], "degrees_of_freedom": c.degrees_of_freedom}
+            | {"value_si": c.value_si, "std_si": c.si.std}
             for c in self.coefficients
         ]
-        texts, numbers = zip(*rows, strict=True)
-        columns = {name: Column(values) for name, values in zip(names, np.array(texts, object).T, strict=True)}
-        stated = zip(units.items(), np.array(numbers, float).T, strict=True)
-        return columns | {name: Column(values, unit) for (name, unit), values in stated}
+        return columns_of(rows, units)
 
     def table_notes(self) -> tuple[str, ...]:
         """The remark that uncertainties are of Type A only, where it holds."""
         return (TYPE_A_ONLY,) if self.type_a_only else ()
-
-    def correlated(self, library: str = "uncertainties", *, si: bool = False) -> dict[str, Correlated]:
-        """The coefficients as numbers of the package ``uncertainties``, by key, to compute on with: they know their covariance.
-
-        With ``si`` they are in SI, else in the units of calibration.json.
-
-        Examples
-        --------
-        >>> import piga
-        >>> cal = piga.Calibration.from_coefficients({"scale_factor": (0.9, 1e-3), "k0": (1e-4, 1e-6)})
-        >>> c = cal.correlated()
-        >>> f"{c['scale_factor'] * c['k0']:.2u}"
-        '(9.00+/-0.09)e-05'
-
-        Raises
-        ------
-        MissingPackageError
-            If the package is not installed.
-        ArgumentError
-            If another library is named.
-        """
-        if library != "uncertainties":
-            remedy = "'uncertainties'; other packages take the values and cal.covariance"
-            raise ArgumentError(f"correlated: library '{library}'", remedy=remedy)
-        scale = np.array([si_factor(c.name) if si else 1.0 for c in self.coefficients])
-        values = scale * np.array([c.value for c in self.coefficients])
-        covariance = np.outer(scale, scale) * self.covariance
-        made = needed("uncertainties").correlated_values(values, covariance, tags=list(self))
-        return dict(zip(self, made, strict=True))
-
-    def to_xarray(self) -> xr.Dataset:
-        """The coefficients and their covariance as an xarray data set. Each variable has its unit in ``attrs["units"]``.
-
-        Raises
-        ------
-        MissingPackageError
-            If xarray is not installed.
-        """
-        keys, units = list(self), {"units": "product of the units of both coefficients"}
-        made = super().to_xarray().drop_vars("coefficient").rename_dims(row="coefficient")
-        made["covariance"] = ("coefficient", "with_coefficient"), np.array(self.covariance), units
-        return made.assign_coords(coefficient=keys, with_coefficient=keys)
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

@@ -15,7 +15,7 @@ from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
 from piga.records.terms import meaning_of, si_factor, si_unit_of, unit_of
-from piga.results import ByValue, Column, Result, Shown, Tabular
+from piga.results import ByValue, Column, Result, Shown, Tabular, columns_of
 
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
@@ -320,25 +320,14 @@ class BudgetTable(Result, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
-        none = Amount(math.nan, "")
-        rows = [
-            (e.source, e.type, e.distribution, key, unit_of(key), change, size.value, size.unit)
-            for e, size in ((entry, entry.standard_uncertainty or none) for entry in self)
-            for key, change in e.contributions.items()
-        ]
-        names = (
-            "source",
-            "type",
-            "distribution",
-            "coefficient",
-            "unit",
-            "contribution",
-            "standard_uncertainty",
-        )
-        numbers = {"contribution": "as in column unit", "standard_uncertainty": "as in column unit_of_source"}
-        return {
-            name: Column(
-                np.array([row[i] for row in rows], float if name in numbers else object), numbers.get(name, "1")
-            )
-            for i, name in enumerate((*names, "unit_of_source"))
-        }
+        rows = []
+        for entry in self:
+            size = entry.standard_uncertainty or Amount(math.nan, "")
+            source = {"source": entry.source, "type": entry.type, "distribution": entry.distribution}
+            stated = {"standard_uncertainty": size.value, "unit_of_source": size.unit}
+            for key, change in entry.contributions.items():
+                rows.append(
+                    source | {"coefficient": key, "unit": unit_of(key), "contribution": change} | stated
+                )
+        units = {"contribution": "as in column unit", "standard_uncertainty": "as in column unit_of_source"}
+        return columns_of(rows, units)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, Required, TypedDict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -262,53 +262,6 @@ class SegmentScatter:
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
-class ComparedCoefficient(TypedDict):
-    """A coefficient of a set, and its change against the best set."""
-
-    key: str
-    value: Number
-    std: Level
-    unit: str
-    change: Number | None
-
-
-class ComparedSet(TypedDict, total=False):
-    """A set of terms of a comparison: the reason if the record does not determine it, else its numbers."""
-
-    terms: Required[list[str]]
-    reason: Required[str]
-    parameters: Count
-    chi_square: Number
-    chi_square_per_degree: Number
-    log_likelihood: Number
-    bic: Number
-    bic_above_best: Number
-    aic: Number
-    weight: Number
-    coefficients: list[ComparedCoefficient]
-    prediction_chi_square: Number
-    prediction_above_best: Number
-    prediction_standard_error: Number
-    prediction_force_error: Number
-
-
-class Comparison(TypedDict):
-    """The document of :class:`piga.calibration.ModelComparison`. Older files also have notes and folds."""
-
-    notes: NotRequired[list[str]]
-    folds: NotRequired[Count]
-    treatment: str
-    noise_terms: list[str]
-    angle_rms: Level
-    angle_random_walk: Level
-    observations: Count
-    parts: Count
-    parted_by: Literal["segment", "block"]
-    best: list[str] | None
-    best_prediction: list[str] | None
-    sets: list[ComparedSet]
-
-
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Diagnostics(Result, SegmentScatter):
     """Diagnostics of model and data. An entry without a result is None or empty.
@@ -331,7 +284,7 @@ class Diagnostics(Result, SegmentScatter):
     monte_carlo:
         Comparison of Monte Carlo and first-order propagation.
     model_comparison:
-        Comparison of sets of terms.
+        Comparison of sets of terms, as :meth:`piga.calibration.ModelComparison.document` gives it.
     """
 
     residual_kind: Literal["angle", "rate", "count"] = "angle"
@@ -351,8 +304,4 @@ class Diagnostics(Result, SegmentScatter):
     missing_terms: tuple[MissingTerm, ...] = ()
     creep: Creep | None = None
     monte_carlo: MonteCarlo | None = None
-    model_comparison: Comparison | None = None
-
-    def with_scatter(self, scatter: SegmentScatter) -> Diagnostics:
-        """A copy with this scatter of the segments."""
-        return replace(self, **asdict(scatter))
+    model_comparison: dict[str, Any] | None = None

@@ -22,12 +22,10 @@ from piga.errors import ArgumentError, CalibrationError, PigaError, UnitError, W
 from piga.output import check_results
 from piga.records.calibration.calibration import Calibration, Given, Provenance
 from piga.records.calibration.coefficient import Amount, BudgetEntry, Coefficient, Level
-from piga.records.calibration.diagnostics import ComparedSet, Quality
-from piga.records.calibration.verdict import COUNTED
-from piga.records.limits import check_label, read_whole
-from piga.records.run_file import PHASE_SOURCES, Method, Phases, PhaseSource, check_direct_unit
+from piga.records.calibration.diagnostics import Quality
+from piga.records.run_file import Method, Phases, PhaseSource, check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of
-from piga.records.text_files import JsonError, json_object
+from piga.records.text_files import JsonError, check_label, json_object, read_whole
 from piga.units import conversion_factor, from_si, numbers_are_si, parse_unit, to_si
 
 SCHEMA = "piga.calibration/1"
@@ -163,7 +161,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
 def _stated(c: Coefficient) -> dict[str, Any]:
     """A coefficient. ``expanded`` is the half-width for 95 %; infinite degrees of freedom are null."""
     stated: dict[str, Any] = {"name": c.name, "value": c.value, "std": c.std, "unit": c.unit}
-    stated |= {"segment": c.segment} if c.name == "phi" else {}
+    stated |= {"segment": c.segment} if c.name == "phi" or c.segment is not None else {}
     stated |= {} if c.run is None else {"run": c.run}
     stated["degrees_of_freedom"] = c.degrees_of_freedom if math.isfinite(c.degrees_of_freedom) else None
     if c.interval is not None:
@@ -189,7 +187,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     try:
         return _calibration(_decoded(raw))
     except (JsonError, msgspec.ValidationError, UnitError) as error:
-        why = error.message if isinstance(error, UnitError) else str(error).replace("phases", "phase")
+        why = error.message if isinstance(error, UnitError) else str(error)
         message, remedy = f"not a valid calibration record: {why}", "calibrate again"
     except PigaError as error:
         message, remedy = error.message, error.remedy
@@ -260,27 +258,18 @@ def _calibration(document: Any) -> Calibration:
 def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
     if c.serial:
         check_label(c.serial, "the serial")
-    if not c.coefficients:
-        yield "there is no coefficient"
     for k in c.coefficients:
-        yield from _faults_of(k, c.unit)
+        yield from _faults_of(k, c)
     if not c.scale_factor_nominal > 0.0:
         yield "scale_factor_nominal is not positive"
     yield from (f"the coefficient '{key}' occurs twice" for key, n in Counter(list(c)).items() if n > 1)
-    if len(set(c.terms)) < len(c.terms):
-        yield f"a term is named twice: {', '.join(c.terms)[:80]}"
-    missing = set(c.terms) - {k.name for k in c.coefficients}
-    yield from (f"there is no coefficient of the term '{term[:60]}'" for term in sorted(missing))
-    for k in c.coefficients:
-        if k.name not in (*c.terms, "phi"):
-            yield f"the coefficient '{k.name[:60]}' is not among the terms"
-        if k.run is not None and k.run not in [run.name for run in c.runs]:
-            yield f"'{k.key}': there is no run '{k.run}'"
-        if c.phases == "shared" and k.segment is not None:
-            yield f"the phase is 'shared', but '{k.key}' is of one segment"
-    yield from _faults_of_findings(c)
-    if max(c.quality.used, c.quality.masked) > c.quality.rows:
-        yield "more rows are used or masked than the record has"
+    estimated = {k.name for k in c.coefficients} - {"phi"}
+    if not c.terms or sorted(c.terms) != sorted(estimated):
+        yield f"the terms ({', '.join(c.terms)[:80]}) are not those of the coefficients"
+    for row in c.budget:
+        for key in {**row.contributions, **row.sensitivities}:
+            if not check_name(key.partition("[")[0]):
+                yield f"uncertainty_budget: '{row.source[:60]}' acts on '{key[:60]}', which is not a coefficient"
     try:
         dt.datetime.fromisoformat(c.provenance.created)
     except ValueError:
@@ -288,43 +277,25 @@ def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
     yield from _faults_of_covariance(covariance, c)
 
 
-def _faults_of_findings(c: Calibration) -> Iterator[str]:
-    """Faults of budget and diagnostics. The numbers of a set of terms, and those of its prediction, are all there or none."""
-    for row in c.budget:
-        for key in {**row.contributions, **row.sensitivities}:
-            if not check_name(key.partition("[")[0]):
-                yield f"uncertainty_budget: '{row.source[:60]}' acts on '{key[:60]}', which is not a coefficient"
-    if c.diagnostics.verdict == COUNTED and c.diagnostics.counting_probability is None:
-        yield "diagnostics.counting_probability is missing"
-    predicted = {key for key in ComparedSet.__optional_keys__ if key.startswith("prediction_")}
-    comparison = c.diagnostics.model_comparison
-    for one in comparison["sets"] if comparison else ():
-        for group in (predicted, ComparedSet.__optional_keys__ - predicted):
-            missing = group - one.keys()
-            if missing and missing != group:
-                yield f"diagnostics.model_comparison: a set lacks {', '.join(sorted(missing))}"
-
-
-def _faults_of(c: Coefficient, output: str) -> Iterator[str]:
-    """Faults of one coefficient by itself. ``output`` is the unit of the output rate."""
-    if not check_name(c.name):
-        yield f"unknown coefficient '{c.name[:60]}': a later version may know it"
-    elif c.unit != unit_of(c.name, output):
-        yield f"coefficient '{c.name}' in '{c.unit[:60]}', '{unit_of(c.name, output)}' is needed"
-    elif output != GYRO and turns(c.name):
-        yield f"'{c.name}' belongs to a gyro accelerometer, and the output is in '{output}'"
-    elif c.name == "scale_factor" and not c.value > 0.0:
-        yield f"scale_factor is {c.value:g}, it must be positive"
-    elif c.name == "tan_beta" and c.value < 0.0:
-        yield f"tan_beta is {c.value:g}, it must not be negative: its sign is in phi"
-    if c.interval is not None and not c.interval[0] <= c.interval[1]:
-        yield f"the ends of the interval of '{c.key}' are interchanged"
-    if not math.isfinite(c.expanded):
-        yield f"degrees_of_freedom of '{c.key}' are {c.degrees_of_freedom:g}: too few for an interval"
-    if c.segment is not None and c.name != "phi":
-        yield f"'{c.key}': only a phase can belong to a segment"
-    if c.run is not None and c.name in ("scale_factor", "tan_beta"):
-        yield f"'{c.key}': the coefficient belongs to the instrument, not to a run"
+def _faults_of(k: Coefficient, c: Calibration) -> Iterator[str]:
+    if not check_name(k.name):
+        yield f"unknown coefficient '{k.name[:60]}': a later version may know it"
+    elif k.unit != unit_of(k.name, c.unit):
+        yield f"coefficient '{k.name}' in '{k.unit[:60]}', '{unit_of(k.name, c.unit)}' is needed"
+    elif c.direct and turns(k.name):
+        yield f"'{k.name}' belongs to a gyro accelerometer, and the output is in '{c.unit}'"
+    elif k.name == "scale_factor" and not k.value > 0.0:
+        yield f"scale_factor is {k.value:g}, it must be positive"
+    elif k.name == "tan_beta" and k.value < 0.0:
+        yield f"tan_beta is {k.value:g}, it must not be negative: its sign is in phi"
+    if k.interval is not None and not k.interval[0] <= k.interval[1]:
+        yield f"the ends of the interval of '{k.key}' are interchanged"
+    if not math.isfinite(k.expanded):
+        yield f"degrees_of_freedom of '{k.key}' are {k.degrees_of_freedom:g}: too few for an interval"
+    if k.segment is not None and (k.name != "phi" or c.phases == "shared"):
+        yield f"'{k.key}': only a phase can belong to a segment, and not if the phase is 'shared'"
+    if k.run is not None and (k.name in ("scale_factor", "tan_beta") or k.run not in [r.name for r in c.runs]):
+        yield f"'{k.key}': there is no run '{k.run}', or the coefficient belongs to the instrument"
 
 
 def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
@@ -383,20 +354,12 @@ def calibration_of(
     if scale_factor_nominal is not None:
         with numbers_are_si(True):
             nominal = scale_factor_in(scale_factor_nominal, unit, f"{_GIVEN} scale_factor_nominal")
-    shape = len(named), len(named)
-    if not named:
-        raise _refusal("no coefficient is given", 'e.g. {"scale_factor": "0.8884 rad/s/g"}')
-    if phase_source not in PHASE_SOURCES:
-        raise _refusal(f"phase_source: '{phase_source}'", f"one of {', '.join(PHASE_SOURCES)}")
-    if matrix.shape != shape or not np.isfinite(matrix).all():
-        words = (
-            f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients: {shape} finite numbers"
-        )
-        raise _refusal(f"{words} are needed", "one row and one column for each coefficient, in their order")
-    if nominal is None:
-        raise _refusal("there is no scale factor", "add 'scale_factor' or scale_factor_nominal")
-    if not nominal > 0.0:
-        raise _refusal("the scale factor must be positive", "reverse the input axis")
+    if nominal is None or nominal <= 0.0:
+        remedy = "add 'scale_factor' or scale_factor_nominal; if it is negative, reverse the input axis"
+        raise _refusal("there is no positive scale factor", remedy)
+    if matrix.shape != (len(named), len(named)) or not np.isfinite(matrix).all():
+        words = f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients"
+        raise _refusal(words, "give one row and one column of finite numbers for each, in their order")
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
     made = Calibration(
         serial=serial,
@@ -441,14 +404,9 @@ def _coefficient(key: str, given: Given, output: str) -> Coefficient:
         if given.key != key:
             raise _refusal(f"'{key}' is the coefficient '{given.key}'", "use its own name")
         return given
-    if segment is not None and name != "phi":
-        raise _refusal(f"'{key}': only a phase can belong to a segment", f"name it '{name}'")
+    unit, what = unit_of(name, output), f"{_GIVEN} {key}"
     value, std = given if isinstance(given, tuple) else (given, 0.0)
-    unit = unit_of(name, output)
-    u = _number(std, unit, f"{_GIVEN} u({key})")
-    if u < 0.0:
-        raise _refusal(f"u({key}): a standard uncertainty is not negative", "give it without sign")
-    return Coefficient(name, _number(value, unit, f"{_GIVEN} {key}"), u, unit, segment)
+    return Coefficient(name, _number(value, unit, what), _number(std, unit, what), unit, segment)
 
 
 def _number(given: float | str, unit: str, what: str) -> float:

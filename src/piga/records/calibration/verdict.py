@@ -188,7 +188,7 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
     if tests.verdict == COUNTED:
         words = "the whitened residuals correlate as whole counts make them, and no further"
-        yield f"{words} (p = {tests.counting_probability:.2g})"
+        yield f"{words} (p = {tests.counting_probability or 0.0:.2g})"
     elif tests.verdict == "white":
         yield f"the whitened residuals are white {tested}"
     else:
