@@ -31,16 +31,6 @@ def test_a_clean_log(tmp_path: Path) -> None:
     assert set(run.input_sha256) == {"run.toml", "run.csv"}
 
 
-def test_blank_lines_are_skipped_and_rows_stay_those_of_the_file(tmp_path: Path) -> None:
-    rows = lines()
-    rows.insert(5, "")
-    rows.insert(9, "  ")
-    run = read(tmp_path, rows)
-    assert run.size == 40
-    assert events(run)["blank-line"] == 2
-    assert run.row[-1] == 43
-
-
 @pytest.mark.parametrize("bits", [16, 24])
 def test_counters_that_wrap(tmp_path: Path, bits: int) -> None:
     start = 2**bits - 3000
@@ -152,16 +142,6 @@ def test_labels_lose_their_blanks_and_an_empty_one_is_no_segment(tmp_path: Path,
     assert run.labels == ("up", "down")
     assert events(run)["no-segment"] == 10
     assert run.size == 30 - damaged
-
-
-def test_parquet_is_read_like_csv(tmp_path: Path) -> None:
-    plain = read(tmp_path, lines())
-    columns = {"t": plain.t, "n": np.round(plain.output / plain.resolution).astype(np.int64)}
-    columns |= {name: plain.f[:, i] / G0 for i, name in enumerate(("fx", "fy", "fz"))}
-    parquet.write_table(pa.table(columns), tmp_path / "run.parquet")
-    run = piga.read_run(write_run(tmp_path, "run.parquet"))
-    np.testing.assert_allclose(run.output, plain.output, atol=1e-15)
-    np.testing.assert_allclose(run.f, plain.f, rtol=1e-15)
 
 
 def test_a_null_of_parquet_is_a_missing_value(tmp_path: Path) -> None:

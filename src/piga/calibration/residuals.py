@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.design import Design
 from piga.calibration.weights import Noise, Whitener, rate_share, residual_increments
-from piga.records.arrays import changes, largest_size, middles, stored, taken
+from piga.records.arrays import changes, largest_size, middles, stored
 from piga.records.calibration.diagnostics import Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.calibration.verdict import COUNTED, SLOW_COUNTS
 from piga.records.run import Run
@@ -160,7 +160,7 @@ def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Produ
     """
     from scipy.special import gammaincc
 
-    x = np.concatenate([taken(own, own != 0.0) for own in innovations])
+    x = np.concatenate([own[own != 0.0] for own in innovations])
     n = x.size
     if n < 50:
         return replace(plain, samples=n)

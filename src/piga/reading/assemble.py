@@ -237,7 +237,9 @@ def _output(
     output, lost = unwrapped(raw, name, base, scale, largest)
     if data.output.kind == "pulses" and scale.unit == "rad":
         at = np.flatnonzero(base.begins)[1:]
-        at = at[base.missing_before(at, raw.rows)]  # these rows of the log were not summed
+        at = at[
+            base.step[at] > (raw.rows[at] - raw.rows[at - 1] + 0.5) * base.nominal
+        ]  # rows are missing before
         lost[at] = True
         raw.note("pulses-lost", at, "the pulses of missing rows are not known; the phase is new")
     return scaled(output, -1.0) if data.output.direction < 0 else output, lost

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.text.reader import is_number
-from piga.records.arrays import ColumnWriter, largest_size, scaled, stored, taken
+from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
@@ -145,9 +145,9 @@ class RawColumns:
         if self.usable.all():
             return t
         for name, values in self.numbers.items():
-            self.numbers[name] = taken(values, self.usable)
-        self.rows, self.segment = taken(self.rows, self.usable), taken(self.segment, self.usable)
-        return taken(t, self.usable)
+            self.numbers[name] = stored(values[self.usable])
+        self.rows, self.segment = stored(self.rows[self.usable]), stored(self.segment[self.usable])
+        return stored(t[self.usable])
 
     def refusal(
         self, words: str, remedy: str, *columns: str, at: int | None = None, key: str = ""

@@ -102,11 +102,6 @@ def norms(f: NDArray[Any]) -> NDArray[np.float64]:
     return np.sqrt(np.einsum("ij,ij->i", f, f))
 
 
-def taken(values: NDArray[Any], where: NDArray[np.bool_]) -> NDArray[Any]:
-    """The values (n,) at which ``where`` (n,) is true, as a new array."""
-    return stored(values[where])
-
-
 class ColumnWriter:
     """A column of unknown length to which rows are appended. A :class:`DataError` if the disk has no room for it."""
 

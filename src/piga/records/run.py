@@ -558,10 +558,6 @@ class TimeBase:
     events: tuple[Event, ...]
     step: Array = field(default_factory=lambda: np.empty(0))
 
-    def missing_before(self, at: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """True where more time passed before a sample than the rows of the log since the sample before account for."""
-        return self.step[at] > (rows[at] - rows[at - 1] + 0.5) * self.nominal
-
 
 def drop_repeats(
     t: Array,

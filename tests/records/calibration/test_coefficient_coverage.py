@@ -188,18 +188,6 @@ def test_trend(cal):
         assert k > 1.95
 
 
-@pytest.mark.parametrize("rule", ["guarded", "simple"])
-def test_conformity(cal, rule):
-    """Limits at 0.98 and at 1.02 U from the value: the guard band is U, whatever the rows say."""
-    _, half = expected(cal, "k0")
-    for part, status in ((0.98, "conditionalPass"), (1.02, "pass")):
-        limits = {"k0": tuple(f"{cal['k0'].value + sign * part * half!r} g" for sign in (-1, 1))}
-        table = ConformityTable(specification="S", rule=rule, agreed_with_customer=True, limits=limits)
-        (verdict,) = verdicts(msgspec.structs.replace(complete(), conformity=table), cal)
-        assert verdict.expanded == pytest.approx(half, rel=1e-9)
-        assert verdict.status == (status if rule == "guarded" else "pass")
-
-
 def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(cal, tmp_path):
     """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
     etree = pytest.importorskip("lxml.etree")

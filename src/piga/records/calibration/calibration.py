@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 
 from piga.errors import CalibrationError
 from piga.records.calibration.coefficient import (
+    OF_THE_MODEL,
     TYPE_A_ONLY,
     BudgetTable,
     Coefficient,
     Level,
     Number,
     StandSource,
-    is_of_reference,
     rounded,
 )
 from piga.records.calibration.diagnostics import Count, Diagnostics, Outlier, Quality, Residuals, SegmentSummary
@@ -194,9 +194,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     @property
     def type_a_only(self) -> bool:
         """True if the budget has no Type B source of the reference. The reference then counts as exact."""
-        return not self.given and not any(
-            row.type == "B" and is_of_reference(row.source) for row in self.budget
-        )
+        b = (row.source for row in self.budget if row.type == "B")
+        return not self.given and all(source.startswith(OF_THE_MODEL) for source in b)
 
     @property
     def given(self) -> bool:

@@ -58,11 +58,6 @@ class StandSource:
     reason: str = ""
 
 
-def is_of_reference(source: str) -> bool:
-    """True for a source of Type B that describes the reference, the clock, the thermometer or the stand."""
-    return not source.startswith(OF_THE_MODEL)
-
-
 def coverage_factor(degrees_of_freedom: ArrayLike, probability: float = PROBABILITY) -> Any:
     """Student's t for a two-sided interval of this probability (JCGM 100, G.3): a float, or an array for an array.
 

@@ -185,29 +185,22 @@ def read_with_digest(path: Path) -> tuple[Calibration, str]:
 def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
     """Read a record from the bytes of its file; ``path`` names it in messages."""
     try:
-        return _calibration(_decoded(raw))
+        plain = json_object(raw)
+        schema = str(plain.get("schema"))
+        if schema == SCHEMA:
+            _upgrade(plain)
+            return _calibration(msgspec.convert(plain, _DOCUMENT))
+        message = f"is not a calibration record (it lacks the schema '{SCHEMA}')"
+        remedy = "name a calibration.json"
+        if schema.startswith("piga.calibration/"):
+            message = f"schema '{schema}' is not known to this version"
+            remedy = "update piga, or calibrate again"
     except (JsonError, msgspec.ValidationError, UnitError) as error:
         why = error.message if isinstance(error, UnitError) else str(error)
         message, remedy = f"not a valid calibration record: {why}", "calibrate again"
     except PigaError as error:
         message, remedy = error.message, error.remedy
     raise CalibrationError(f"{path}: {message}", remedy=remedy, where=Where(path))
-
-
-def _decoded(raw: bytes) -> Any:
-    """The document of a record of the known schema. It may hold no key twice."""
-    plain = json_object(raw)
-    schema = plain.get("schema")
-    if schema == SCHEMA:
-        _upgrade(plain)
-        return msgspec.convert(plain, _DOCUMENT)
-    if isinstance(schema, str) and schema.startswith("piga.calibration/"):
-        raise CalibrationError(
-            f"schema '{schema}' is not known to this version", remedy="update piga, or calibrate again"
-        )
-    raise CalibrationError(
-        f"is not a calibration record (it lacks the schema '{SCHEMA}')", remedy="name a calibration.json"
-    )
 
 
 def _upgrade(document: dict[str, Any]) -> None:
@@ -361,6 +354,7 @@ def calibration_of(
         words = f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients"
         raise _refusal(words, "give one row and one column of finite numbers for each, in their order")
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
+    levels: dict[str, Any] = {f: 0.0 for f, place in _PLACES.items() if place[0] in ("noise", "residual")}
     made = Calibration(
         serial=serial,
         scale_factor_nominal=nominal,
@@ -373,12 +367,7 @@ def calibration_of(
         ),
         covariance=matrix,
         surplus_observations=0.0,
-        angle_rms=0.0,
-        angle_random_walk=0.0,
-        residual_rms=0.0,
-        residual_rms_before=0.0,
-        residual_max_before=0.0,
-        residual_max_after=0.0,
+        **levels,
         quality=Quality(0, 0, 0),
         condition=math.inf,
         notes=("the coefficients were given, not estimated from a record: no test was made",),
