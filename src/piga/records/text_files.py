@@ -131,8 +131,8 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
         raise RunFileError(f"{path}: {fault}", remedy=remedy) from None
     _check_values(path, document, "")
     model, run = document.get("model"), document.get("run")
-    if isinstance(model, dict) and "phase" in model and "phases" not in model:  # its name until 0.1
-        model["phases"] = model.pop("phase")
+    if isinstance(model, dict) and "phase" in model:  # the name of phases until 0.1
+        model.setdefault("phases", model.pop("phase"))
     if isinstance(run, dict) and "earth_tide" in run:
         remedy = "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
         raise RunFileError(f"{path}: [run] earth_tide is not simulated any more", remedy=remedy)
