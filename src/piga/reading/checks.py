@@ -24,8 +24,8 @@ from piga.units import G0, UNIT_FACTORS
 
 _STUCK = 8
 """Fewest equal extreme values in a row that are reported (own choice)."""
-_RESTING = 2.0
-"""Steps that a run of equal extreme values may hide because of rounding (own choice)."""
+_RESTING = 6.0
+"""Steps by which a reading falls beside a run of equal extreme values that is no turning point: twice those of one."""
 SAMPLED = 1 << 17
 """Rows of a long record that are examined for wrong units (own choice)."""
 
@@ -55,7 +55,8 @@ def note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
     """Report runs of the largest or smallest value in a column that otherwise changes all the time.
 
     A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
-    and not reported. A run at or beyond the declared ``limits`` is not reported either: it counts as saturated.
+    and not reported: a parabola whose rounded top has the length l falls by three steps at most within l/2 beside it.
+    A run at or beyond the declared ``limits`` is not reported either: it counts as saturated.
     """
     values = raw.numbers[name]
     finite = np.isfinite(values)
@@ -64,29 +65,15 @@ def note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
         return
     for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
         start, length = _longest_run(values == extreme)
-        stuck = limits[0] < extreme < limits[1] and length >= _STUCK
-        if stuck and _hidden_steps(values, raw.segment, start, length) > _RESTING:
+        if length < _STUCK or not limits[0] < extreme < limits[1]:
+            continue
+        beside = np.arange(max(start - length // 2, 0), min(start + 3 * length // 2, values.size))
+        near = values[beside[raw.segment[beside] == raw.segment[start]]]
+        steps = np.abs(np.diff(near))
+        step = float(np.min(steps, where=steps > 0.0, initial=np.inf))
+        if float(np.nanmax(np.abs(near - extreme))) > _RESTING * step:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             raw.note("stuck-value", np.arange(start, start + length), detail)
-
-
-def _hidden_steps(values: Array, segment: NDArray[np.int32], start: int, length: int) -> float:
-    """How far the reading went beyond a run of its extreme value, in its smallest steps.
-
-    A parabola that has fallen by ``s`` at the distance ``d`` from a run of half width ``w`` has its top
-    ``s / ((1 + d/w)^2 - 1)`` above the run. Rounding alone hides one step at most. Another segment has another speed.
-    """
-    moves, tops = [], [0.0]
-    for edge, way in ((start, -1), (start + length - 1, 1)):
-        at = edge + way * np.arange(length + 1)
-        at = at[(at >= 0) & (at < values.size)]
-        side = values[at[np.logical_and.accumulate(segment[at] == segment[edge])]]
-        moves.append(np.abs(np.diff(side)))
-        far = np.arange((side.size - 1) // 2 + 1, side.size)
-        fallen = np.abs(side[far] - values[start]) / ((1.0 + 2.0 * far / length) ** 2 - 1.0)
-        tops.append(float(np.nanmax(fallen, initial=0.0)))
-    sizes = np.concatenate(moves)
-    return max(tops) / float(np.min(sizes, where=sizes > 0.0, initial=np.inf))
 
 
 def note_sequence(raw: RawColumns, number: Array, wraps_at: int | None, begins: NDArray[np.bool_]) -> None:
@@ -137,29 +124,26 @@ def note_norm(raw: RawColumns, f: Array) -> None:
     """Report a static reference (n, 3) whose norm is g times a factor between units."""
     norm = norms(f[:: max(1, -(-len(f) // SAMPLED))])
     typical = float(np.median(norm))
-    static = typical > 0.0 and float(np.quantile(np.abs(norm - typical), 0.9)) <= 0.01 * typical
-    if static and (words := _unit_factor(typical / G0, 0.01)):
-        detail = f"|f| = {typical / G0:.5g} g in all positions: too {words}? check [data] reference unit"
-        raw.events.append(Event("implausible-unit", raw.count, int(raw.rows[0]), detail))
+    if typical > 0.0 and float(np.quantile(np.abs(norm - typical), 0.9)) <= 0.01 * typical:
+        what = f"|f| = {typical / G0:.5g} g in all positions:"
+        _note_unit(raw, raw.count, typical / G0, 0.01, what, "[data] reference unit")
 
 
 def _note_rate(raw: RawColumns, wanted: Array, rate: Array, count: int, scale: OutputScale) -> None:
     strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
-    if strong.sum() < _STUCK:
-        return
-    if words := _unit_factor(abs(float(np.median(rate[strong] / wanted[strong]))), 0.05):
+    if strong.sum() >= _STUCK:
+        ratio = abs(float(np.median(rate[strong] / wanted[strong])))
         keys = ", scale_factor and counts_per_revolution" if scale.unit == "rad" else " and scale_factor"
-        detail = f"the output is too {words}? check its unit{keys}"
-        raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
+        _note_unit(raw, count, ratio, 0.05, "the output is", f"its unit{keys}")
 
 
-def _unit_factor(ratio: float, tolerance: float) -> str:
-    """``large by`` or ``small by`` a factor between units that the ratio is; empty if it is none."""
+def _note_unit(raw: RawColumns, count: int, ratio: float, tolerance: float, what: str, check: str) -> None:
+    """Report a ratio that is a factor between units."""
     for factor in UNIT_FACTORS:
         for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
             if factor.words and abs(value / factor.value - 1.0) < tolerance:
-                return f"{sense} by {factor.words}"
-    return ""
+                detail = f"{what} too {sense} by {factor.words}? check {check}"
+                raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
 
 
 def _note_stopped(
