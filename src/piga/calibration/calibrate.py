@@ -131,7 +131,7 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     """From the fit and its intervals to the result: budget, doubts about the model, Monte Carlo, remarks."""
     steps("adding up the budget")
     fit = with_all_sources(fit, steps)
-    candidates = Candidates(fit.without_scatter())
+    candidates = Candidates.of(fit.without_scatter())
     doubts = left_out_terms(fit, candidates)
     budget = add_up(
         fit, effects(fit, stated=True), {one.source: one.change for one in doubts if one.change.any()}

@@ -9,7 +9,6 @@ or proportional to the change of a_x by the move. A few time constants are tried
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,101 +41,6 @@ _REST = 0.1
 
 
 @dataclass(frozen=True)
-class _Record:
-    """A run under the fit of all runs: its columns, and their coefficients in each segment."""
-
-    fit: JointFit
-    live: LiveRun
-    design: Design
-    values: Array
-    first: int
-
-    def moved(self, rows: Sequence[Reduction], size: float) -> Array:
-        """Change of the coefficients (n,; file units) by ``size`` of the last column before y of the triangles of the positions."""
-        estimate, noise, groups = self.fit.estimate, self.live.fit.noise, self.design.groups
-        score = sum(
-            estimate.jacobians[self.first + group].T @ part.factor[:, :-2].T @ part.factor[:, -2]
-            for part, group in zip(with_scatter(rows, noise), groups, strict=True)
-        )
-        return self.fit.moved(size * (estimate.inverse @ score))
-
-
-def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
-    """The likeliest creep of the runs with raw data, and its run; None if none was tested."""
-    creeps = []
-    for index, live in enumerate(fit.live):
-        if live:
-            creep = find_creep(
-                _Record(fit, live, *fit.design_of(index, live), fit.first_group(index)), coefficients
-            )
-            creeps += [(live, creep)] if creep is not None else []
-    if not creeps:
-        return None
-    live, best = max(creeps, key=lambda item: (item[1].seen, item[1].largest_shift, -item[1].probability))
-    return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
-
-
-def find_creep(fit: _Record, coefficients: tuple[Coefficient, ...]) -> Creep | None:
-    """The likeliest creep, seen or not; None if a record has too few positions, or no position long enough.
-
-    ``coefficients`` are those of the result, with combined standard uncertainties.
-    """
-    run, positions = fit.design.run, Positions.of(fit.design.run)
-    begin, end = positions.times(run)
-    length = float(np.median(end - begin))
-    times = [part * length for part in _TIMES if part * length >= _SAMPLES * run.median_step]
-    if positions.continuous or positions.count < _FEWEST or not times:
-        return None
-    tries = _tests(fit, positions, times)
-    if not tries:
-        return None
-    clear = [test for test in tries if test.chance * len(tries) < CREEP_ALARMS]
-    best = min(tries, key=lambda test: test.chance)
-    chance = min(1.0, best.chance * len(tries))
-    if clear:
-        best = max(clear, key=lambda test: test.fall)
-        near = _tests(fit, positions, [best.time * part for part in _NEAR])
-        best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
-    scale = fit.design.scale_factor * (1.0 if best.by_move else G0)
-    shifts = zip(coefficients, fit.moved(best.rows, -best.size), strict=True)
-    return Creep(
-        best.size / scale,
-        best.std / scale,
-        best.time,
-        best.by_move,
-        chance,
-        {c.key: float(shift) / c.std for c, shift in shifts if c.std > 0.0},
-        *_stacked(fit, positions, length),
-    )
-
-
-def _decays(fit: _Record, positions: Positions, block: Block, times: list[float]) -> Array:
-    """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
-    design, run = fit.design.means, fit.design.means.run
-    samples = slice(block.start - (not design.point), block.stop)
-    begin = fit.design.run.t[positions.edges[block.segment]]
-    age = np.maximum(run.t[samples] - begin, 0.0)
-    constants = np.array(times)[:, None]
-    out: Array = np.exp(-age / constants)
-    if not design.point:
-        out = -constants * np.diff(out)
-        out[:, run.begins[block.start : block.stop]] = 0.0
-    if run.left_out is not None:
-        left_out = run.left_out[block.start : block.stop]
-        if design.point:
-            out[:, left_out] = 0.0
-        else:
-            merge_rows(out, np.where(left_out, -1.0, block.h), left_out)
-    return out
-
-
-def _moves(run: Run, positions: Positions) -> Array:
-    """Change of the mean a_x from the position before [m/s^2]; 0 for the first."""
-    sums = np.add.reduceat(run.f[:, 0], positions.edges[:-1])
-    return np.diff(sums / np.diff(positions.edges), prepend=sums[0] / float(positions.edges[1]))
-
-
-@dataclass(frozen=True)
 class _Test:
     """Estimate of a creep, its standard uncertainty, and its probability by chance; ``fall`` is that of the sum of squares.
 
@@ -152,21 +56,76 @@ class _Test:
     fall: float
 
 
-def _tests(fit: _Record, positions: Positions, times: list[float]) -> list[_Test]:
+def creep_of_runs(fit: JointFit, coefficients: tuple[Coefficient, ...]) -> tuple[LiveRun, Creep] | None:
+    """The likeliest creep of the runs with raw data, seen or not, and its run; None if none was tested.
+
+    A run with too few positions, or no position long enough, is not tested. ``coefficients`` are those of the result, with
+    combined standard uncertainties.
+    """
+    creeps = [
+        (live, creep)
+        for index, live in enumerate(fit.live)
+        if live and (creep := _creep_of(fit, index, live, coefficients))
+    ]
+    if not creeps:
+        return None
+    live, best = max(creeps, key=lambda item: (item[1].seen, item[1].largest_shift, -item[1].probability))
+    return live, replace(best, probability=min(1.0, len(creeps) * best.probability))
+
+
+def _creep_of(fit: JointFit, index: int, live: LiveRun, coefficients: tuple[Coefficient, ...]) -> Creep | None:
+    (design, values), positions = fit.design_of(index, live), Positions.of(live.run)
+    begin, end = positions.times(live.run)
+    length = float(np.median(end - begin))
+    times = [part * length for part in _TIMES if part * length >= _SAMPLES * live.run.median_step]
+    if positions.continuous or positions.count < _FEWEST or not times:
+        return None
+    tries = _tests(live, design, values, positions, times)
+    if not tries:
+        return None
+    clear = [test for test in tries if test.chance * len(tries) < CREEP_ALARMS]
+    best = min(tries, key=lambda test: test.chance)
+    chance = min(1.0, best.chance * len(tries))
+    if clear:
+        best = max(clear, key=lambda test: test.fall)
+        near = _tests(live, design, values, positions, [best.time * part for part in _NEAR])
+        best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
+    jacobians, first = fit.estimate.jacobians, fit.first_group(index)
+    score = sum(
+        jacobians[first + group].T @ part.factor[:, :-2].T @ part.factor[:, -2]
+        for part, group in zip(with_scatter(best.rows, live.fit.noise), design.groups, strict=True)
+    )
+    shifts = zip(coefficients, fit.moved(-best.size * (fit.estimate.inverse @ score)), strict=True)
+    scale = design.scale_factor * (1.0 if best.by_move else G0)
+    return Creep(
+        best.size / scale,
+        best.std / scale,
+        best.time,
+        best.by_move,
+        chance,
+        {c.key: float(shift) / c.std for c, shift in shifts if c.std > 0.0},
+        *_stacked(design, values, positions, length),
+    )
+
+
+def _tests(
+    live: LiveRun, design: Design, values: Array, positions: Positions, times: list[float]
+) -> list[_Test]:
     """The tests of all time constants [s], of the same size at each position and by the move; without those that are nowhere."""
     from scipy.special import stdtr
 
-    names, m = tuple(map(str, range(len(times)))), len(fit.design.names)
-    extra = Extra(names, lambda block: _decays(fit, positions, block, times))
-    parts = reduce_positions(fit.design, fit.live.fit.mode, fit.live.fit.noise, positions, extra)
+    names, m, force = tuple(map(str, range(len(times)))), len(design.names), live.run.f[:, 0]
+    extra = Extra(names, lambda block: _decays(design, positions, block, times))
+    parts = reduce_positions(design, live.fit.mode, live.fit.noise, positions, extra)
+    means = np.add.reduceat(force, positions.edges[:-1]) / np.diff(positions.edges)
     tests = []
-    for by_move, moves in ((False, np.ones(positions.count)), (True, _moves(fit.design.run, positions))):
+    for by_move, moves in ((False, np.ones(positions.count)), (True, np.diff(means, prepend=means[0]))):
         for name, time in zip(names, times, strict=True):
-            rows = [part.select((*fit.design.names, RATE, name)) for part in parts]
+            rows = [part.select((*design.names, RATE, name)) for part in parts]
             shapes = []
             for own, segment, move in zip(rows, positions.segments.tolist(), moves, strict=True):
                 own.factor[:, m + 1] *= move
-                missed = own.factor[:, -1] - own.factor[:, :m] @ fit.values[segment]
+                missed = own.factor[:, -1] - own.factor[:, :m] @ values[segment]
                 shapes.append(triangle(np.column_stack([own.factor[:, m : m + 2], missed]))[1:, 1:])
             square = sum(float(shape[0, 0] ** 2) for shape in shapes)
             if square > 0.0:
@@ -177,30 +136,50 @@ def _tests(fit: _Record, positions: Positions, times: list[float]) -> list[_Test
     return tests
 
 
-def _stacked(fit: _Record, positions: Positions, length: float) -> tuple[tuple[float, ...], ...]:
+def _decays(design: Design, positions: Positions, block: Block, times: list[float]) -> Array:
+    """Rows ``[times | rows]`` of a block: the integral of ``exp(-age/time)`` over each interval; for a rate log its value."""
+    run, constants = design.means.run, np.array(times)[:, None]
+    samples = slice(block.start - (not design.point), block.stop)
+    begin = design.run.t[positions.edges[block.segment]]
+    out: Array = np.exp(-np.maximum(run.t[samples] - begin, 0.0) / constants)
+    if not design.point:
+        out = -constants * np.diff(out)
+        out[:, run.begins[block.start : block.stop]] = 0.0
+    if run.left_out is not None:
+        left_out = run.left_out[block.start : block.stop]
+        if design.point:
+            out[:, left_out] = 0.0
+        else:
+            merge_rows(out, np.where(left_out, -1.0, block.h), left_out)
+    return out
+
+
+def _stacked(
+    design: Design, values: Array, positions: Positions, length: float
+) -> tuple[tuple[float, ...], ...]:
     """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
     from scipy.special import stdtrit
 
-    run = fit.design.run
+    run = design.run
     visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
     place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * _BINS).astype(np.int64)
-    missed, interval = residual_increments(fit.design, fit.values)
+    missed, interval = residual_increments(design, values)
     inside = (place >= 0) & (place < _BINS)
     shape = (positions.count, _BINS)
     d, h = (
-        np.bincount((visit * _BINS + place)[inside], values[inside], math.prod(shape)).reshape(shape)
-        for values in (missed, np.maximum(interval, 0.0))
+        np.bincount((visit * _BINS + place)[inside], own[inside], math.prod(shape)).reshape(shape)
+        for own in (missed, np.maximum(interval, 0.0))
     )
     mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
     full = h > 0.5 * h.max(axis=0)
     count = full.sum(axis=0)
-    rate = np.where(full, d / np.where(full, h, 1.0) - mean[:, None], 0.0) / (fit.design.scale_factor * G0)
+    rate = np.where(full, d / np.where(full, h, 1.0) - mean[:, None], 0.0) / (design.scale_factor * G0)
     middle = rate.sum(axis=0) / np.maximum(count, 1)
     spread = (np.where(full, rate - middle, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
     band = stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(spread / np.maximum(count, 1))
     kept = count > 1
     time = (np.arange(_BINS) + 0.5) * length / _BINS
-    return tuple(tuple(values[kept].tolist()) for values in (time, middle, band))
+    return tuple(tuple(own[kept].tolist()) for own in (time, middle, band))
 
 
 def creep_in_words(run: Run, creep: Creep) -> str:

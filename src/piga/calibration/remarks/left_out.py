@@ -22,6 +22,7 @@ from piga.calibration.remarks.missing_terms import (
     Candidates,
     CandidateTest,
     either_in_words,
+    held_terms,
     size_in_words,
     values_of,
 )
@@ -75,7 +76,7 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
 
     ``candidates`` are those of the fit without scatter.
     """
-    held, square, coefficients = candidates.held, candidates.squares[0], fit.coefficients
+    held, square, coefficients = held_terms(fit), candidates.squares[0], fit.coefficients
     by_input = any(live and live.request.phase_source != "output" for live in fit.live)
     if fit.summaries[0].unit != GYRO or by_input:
         return ()

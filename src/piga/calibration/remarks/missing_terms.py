@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -75,9 +74,8 @@ def _candidate_terms(fit: JointFit, squares: Squares) -> list[Names]:
     """
     (total, across), terms, direct = squares, fit.wish.terms, fit.summaries[0].unit != GYRO
     scaled = "scale_factor" in terms or "k1" in terms
-    known = {name for summary in fit.summaries for name, _ in summary.known_servo}
     skipped = {*terms} | ({"k1"} if scaled else set()) | (set() if direct else {"k1a"})
-    skipped |= ({*terms} | known) & {*SERVO_TERMS} if "tan_beta" in terms else {*SERVO_TERMS}
+    skipped |= held_terms(fit) & {*SERVO_TERMS} if "tan_beta" in terms else {*SERVO_TERMS}
     if scaled and (across is not None or (total is not None and "k3" in terms)):
         skipped.add("servo")
     if scaled and total is not None and "servo" in terms:
@@ -158,68 +156,49 @@ class CandidateTest:
 class Candidates:
     """A fit without slow noise, and the columns of all terms that may be missing in it.
 
-    Slow noise would absorb the signature of a missing term. The columns are computed when they are first used.
+    Slow noise would absorb the signature of a missing term. ``squares`` are ``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of all
+    runs, None for one that changes. ``terms`` are the columns of every candidate for a suggestion, ``order`` all columns (also the
+    signatures of the servo). ``common`` are the parameters of the pieces: all, but for the phases that belong to one of several
+    segments. ``pieces`` are the factors ``[parameters | columns | residual]`` of the parts of the records in ``summaries``.
     """
 
     fit: JointFit
+    squares: Squares
+    terms: list[Names]
+    order: list[str]
+    common: list[int]
+    summaries: tuple[RunSummary, ...]
+    pieces: Array
 
-    @cached_property
-    def squares(self) -> Squares:
-        """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of all runs; None for one that changes."""
-        fit = self.fit
+    @classmethod
+    def of(cls, fit: JointFit) -> Candidates:
+        """The candidates of a fit without slow noise; none where the phase comes from the input."""
+        estimate, layout, state = fit.estimate, fit.layout, fit.servo
         pairs = [
             constant_squares(live.run) if live else _stored_squares(summary)
             for live, summary in zip(fit.live, fit.summaries, strict=True)
         ]
-        return _common([total for total, _ in pairs]), _common([across for _, across in pairs])
-
-    @cached_property
-    def terms(self) -> list[Names]:
-        """Columns of every candidate for a suggestion; none where the phase comes from the input."""
-        by_input = any(live and live.request.phase_source != "output" for live in self.fit.live)
-        return [] if by_input else _candidate_terms(self.fit, self.squares)
-
-    @cached_property
-    def held(self) -> set[str]:
-        """Terms of the model, and those of the servo that the runs give."""
-        return {*self.fit.wish.terms, *(name for one in self.fit.summaries for name, _ in one.known_servo)}
-
-    @cached_property
-    def order(self) -> list[str]:
-        """Names of the columns: candidates for a suggestion, and signatures of the servo."""
-        names = [name for names in self.terms for name in names]
-        more = ("k3", "servo_damping") if "p" in self.fit.local else ("k3",)
-        return names + [n for n in more if n not in {*names} | self.held and _is_shown(self.fit, n)]
-
-    @cached_property
-    def common(self) -> list[int]:
-        """Parameters of the pieces: all, but for the phases that belong to one segment each."""
-        fit, size = self.fit, self.fit.layout.size
-        phases = [g for g in range(fit.estimate.phases.size) if len(fit.summaries[fit.run_of(g)].labels) == 1]
-        return [*range(size), *(size + g for g in phases)]
-
-    @cached_property
-    def summaries(self) -> tuple[RunSummary, ...]:
-        """The runs with the columns of the candidates."""
-        return tuple(_wide(self.fit, index, self.order) for index in range(len(self.fit.live)))
-
-    @cached_property
-    def pieces(self) -> Array:
-        """Factors ``[parameters | candidates | residual]`` of the parts of the records."""
-        fit, estimate, layout = self.fit, self.fit.estimate, self.fit.layout
-        state, at, pieces = fit.servo, self.common, []
+        squares = _common([total for total, _ in pairs]), _common([across for _, across in pairs])
+        by_input = any(live and live.request.phase_source != "output" for live in fit.live)
+        terms = [] if by_input else _candidate_terms(fit, squares)
+        names = [name for names in terms for name in names]
+        more = () if by_input else ("k3", "servo_damping") if "p" in fit.local else ("k3",)
+        order = names + [n for n in more if n not in {*names} | held_terms(fit) and _is_shown(fit, n)]
+        alone = [len(fit.summaries[fit.run_of(group)].labels) == 1 for group in range(estimate.phases.size)]
+        common = [*range(layout.size), *(layout.size + group for group in np.flatnonzero(alone).tolist())]
+        summaries = tuple(_wide(fit, index, order) if order else one for index, one in enumerate(fit.summaries))
         if state is None and layout.coupled:
             state = ServoState(tuple(estimate.phases.tolist()), stiffness=0.0, damping=0.0, inverse=0.0)
-        parts = replace(fit, summaries=self.summaries).repetitions(state, (RATE, *self.order))
-        for part in parts:
-            local = layout.coupled and layout.size + part.group not in at
-            rows = parameter_rows(layout, estimate, part, at, local=local)
-            names = (*map(str, at), RATE, *self.order)
-            piece = Reduction(names, rows).without((RATE,), part.variance).factor
+        pieces = []
+        for part in replace(fit, summaries=summaries).repetitions(state, (RATE, *order)) if order else ():
+            local = layout.coupled and not alone[part.group]
+            rows = parameter_rows(layout, estimate, part, common, local=local)
+            columns = (*map(str, common), RATE, *order)
+            piece = Reduction(columns, rows).without((RATE,), part.variance).factor
             phase = float(estimate.phases[part.group]) if estimate.phases.size else 0.0
-            piece[:, len(at) : -1] = piece[:, len(at) : -1] @ _turn(phase, self.order)
+            piece[:, len(common) : -1] = piece[:, len(common) : -1] @ _turn(phase, order)
             pieces.append(piece)
-        return np.array(pieces)
+        return cls(fit, squares, terms, order, common, summaries, np.array(pieces))
 
     def test(self, names: Names, beside: Names = ()) -> CandidateTest | None:
         """Test of the columns of a candidate, with the model and the columns ``beside`` fitted; sizes in SI."""
@@ -256,6 +235,11 @@ class Candidates:
         return dict(zip(CUBIC[:2], both, strict=True))
 
 
+def held_terms(fit: JointFit) -> set[str]:
+    """Terms of the model, and those of the servo that the runs give."""
+    return {*fit.wish.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
+
+
 def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     """The summary of a run with the columns of the candidates, of parts of the segments if there are few."""
     live, summary = fit.live[index], fit.summaries[index]
@@ -266,23 +250,16 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     positions = Positions.of(run)
     if not positions.continuous and segments < len(fit.layout.columns) + len(extra[:2]) + _SPARE:
         positions = positions.cut(math.ceil(_PIECES / segments))
-    more = _columns_beside(design, extra)
+    terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
+    wider = Design(run, replace(design.request, terms=terms), design.scale_factor)
+    new = [name for name in wider.names if name not in design.names]
+    at, others = [wider.names.index(name) for name in new], design.means.beside(wider.request, None)
+    more = Extra(tuple(new), lambda _: next(others).columns[at])
     reduced = reduce_positions(design, live.fit.mode, live.fit.noise, positions, more)
     variances = live.fit.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)
     parts = repetitions(design, replace(live.fit.noise, stated=(), counted=()), reduced, positions)
     held = zip(parts, variances[positions.segments].tolist(), strict=True)
     return replace(summary, positions=tuple(replace(part, variance=own) for part, own in held))
-
-
-def _columns_beside(design: Design, extra: Sequence[str]) -> Extra:
-    """The columns ``extra`` beside those of a design; those of the servo without a phase."""
-    terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
-    request = replace(design.request, terms=terms)
-    names = Design(design.run, request, design.scale_factor).names
-    new = [name for name in names if name not in design.names]
-    order = [names.index(name) for name in new]
-    others = design.means.beside(request, None)
-    return Extra(tuple(new), lambda _: next(others).columns[order])
 
 
 def _turn(phase: float, extra: Sequence[str]) -> Array:
