@@ -1,15 +1,13 @@
 """The picture of large files: ``python -m tests.workbench.size [--record]``.
 
 A real ``piga ui`` reads a CSV file of ten million rows and a Parquet file of a hundred million. Measured are the time
-until the first picture once the envelopes are there, the longest of many zooms (each the best of five, HTTP included),
-and the memory of server and reading job without mapped files.
+until the first picture once the envelopes are there, and the longest of many zooms (each the best of five, HTTP included).
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,28 +81,6 @@ def memory(pid: int) -> float:
         return 0.0
 
 
-class Watch:
-    """Largest memory of all processes of one parent, and of that parent."""
-
-    def __init__(self, parent: int) -> None:
-        self.parent, self.job, self.server = parent, 0.0, 0.0
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._look)
-        self._thread.start()
-
-    def _look(self) -> None:
-        while not self._end.wait(0.05):
-            self.server = max(self.server, memory(self.parent))
-            children = Path(f"/proc/{self.parent}/task/{self.parent}/children").read_text()
-            for task in Path(f"/proc/{self.parent}/task").glob("*/children"):
-                children += f" {task.read_text()}"
-            self.job = max([self.job, *(memory(int(pid)) for pid in children.split())])
-
-    def end(self) -> None:
-        self._end.set()
-        self._thread.join()
-
-
 def ask(client: Client, keys: str, first: float, last: float) -> float:
     """Seconds that a picture takes."""
     started = time.perf_counter()
@@ -120,12 +96,9 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
     """Write a file, open it, zoom; what was measured, by its name."""
     write(folder, kind, rows)
     server = Server(folder)
-    watch = Watch(server.process.pid)
     try:
         client = server.client
         client.enter()
-        client.ask("/")
-        before = memory(server.process.pid)
         started = time.perf_counter()
         client.page("/record/large.toml")  # a page that is opened later would begin a fit
         while client.ask("/signal-data/large.toml?keys=output&from=0&to=1&width=10")[0] == 204:
@@ -144,16 +117,8 @@ def measure(folder: Path, kind: str, rows: int) -> dict[str, float]:
                 longest = max(
                     longest, min(ask(client, keys, begin, begin + share * duration) for _ in range(5))
                 )
-        watch.end()
-        return {
-            "reading": reading,
-            "first": first,
-            "zoom": longest,
-            "job": watch.job,
-            "server": watch.server - before,
-        }
+        return {"reading": reading, "first": first, "zoom": longest}
     finally:
-        watch.end()
         assert server.end() == (0, "")
 
 
@@ -161,8 +126,6 @@ COLUMNS = {
     "reading": ("read and envelopes made", "s"),
     "first": ("first picture", "s"),
     "zoom": ("longest zoom", "s"),
-    "job": ("memory of the reading process", "MB"),
-    "server": ("memory that the server takes more", "MB"),
 }
 """Names and units of what is measured, as the page shows them."""
 
@@ -185,7 +148,7 @@ def main() -> None:
             command="python -m tests.workbench.size --record",
             conditions=(
                 "six columns, two busy cores; pictures of all signals, 1300 pixels wide, with HTTP, not drawn; zoom: the longest "
-                "of 80, each the best of five; memory without mapped files"
+                "of 80, each the best of five"
             ),
         )
 

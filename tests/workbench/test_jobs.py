@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from piga.errors import ArgumentError
-from piga.workbench.jobs import BusyError, Job, Jobs
+from piga.workbench.jobs import Job, Jobs
 from tests.workbench.conftest import entered, shipped_record, wait_until
 
 
@@ -56,7 +56,7 @@ def test_the_same_asked_twice_is_one_job(jobs: Jobs) -> None:
     first = asked("a")
     try:
         assert asked("a") == first
-        with pytest.raises(BusyError, match="other options"):
+        with pytest.raises(ArgumentError, match="other options"):
             asked("a", "--terms=k0")
         assert asked("c", "--terms=k0") != first
     finally:
@@ -93,19 +93,6 @@ def jobs_in(folder: Path) -> list[int]:
             if b"piga.cli.job" in words and (place / "cwd").resolve() == folder:
                 numbers.append(int(place.name))
     return numbers
-
-
-@pytest.mark.long
-def test_only_so_many_run_and_only_so_many_are_kept(jobs: Jobs, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("piga.workbench.jobs.MOST_RUNNING", 1)
-    monkeypatch.setattr("piga.workbench.jobs.MOST_KEPT", 1)
-    job = jobs.start(("calibrate", "tumble-a.toml", "--out", "out"), "Calibrate", "tumble-a.toml", "out")
-    with pytest.raises(ArgumentError, match="running"):
-        jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
-    jobs.stop(job)
-    after = jobs.start(("check", "tumble-a.toml"), "Check", "tumble-a.toml")
-    assert jobs.all() == [after]
-    ended(after)
 
 
 @pytest.mark.long

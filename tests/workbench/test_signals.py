@@ -1,4 +1,4 @@
-"""Envelopes against the samples themselves, for random records, zooms and gaps; large files: the first picture, zooms, memory."""
+"""Envelopes against the samples themselves, for random records, zooms and gaps; large files: the first picture, zooms."""
 
 from __future__ import annotations
 
@@ -183,11 +183,8 @@ def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.parametrize("kind", SIZES)
 def test_a_large_file_is_drawn_at_once(tmp_path: Path, kind: str) -> None:
     seen = measure(tmp_path, kind, SIZES[kind])
     assert seen["first"] < 2.0
     assert seen["zoom"] < 0.1
-    assert seen["server"] < 100.0
-    assert seen["job"] < 600.0

@@ -96,7 +96,7 @@ def test_an_upload_without_end_is_cut_off(tmp_path: Path, declared: bool) -> Non
         for _ in range(64):
             raw.sendall(piece)
         answer = raw.recv(4000)
-    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert answer.startswith(b"HTTP/1.1 422 ")
     assert client.page("/healthz") == "ok\n"
     assert memory(running.process.pid) - before < 30.0
     assert not list((tmp_path / ".piga-ui").glob("parts/*"))

@@ -19,11 +19,11 @@ from starlette.requests import ClientDisconnect
 
 from piga.errors import ArgumentError, PigaError
 from piga.workbench.folder import Folder
-from piga.workbench.pages import common, describe, explore, later, record
+from piga.workbench.pages import common, describe, later, record
 from piga.workbench.pages.common import Bench, error_page
 from piga.workbench.security import LOOPBACK, Door, Guard, write_private
 
-ROUTES = [route for page in (common, describe, record, later, explore) for route in page.ROUTES]
+ROUTES = [route for page in (common, describe, record, later) for route in page.ROUTES]
 _MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""

@@ -25,10 +25,6 @@ from typing import IO, Any, Literal, cast
 
 from piga.errors import ArgumentError
 
-MOST_RUNNING = 4
-"""Jobs that may run at the same time."""
-MOST_KEPT = 200
-"""Jobs that are remembered. The oldest that have ended are forgotten."""
 LAPSE = 3.0
 """Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record."""
 FIT = "Fit"
@@ -37,10 +33,6 @@ _PATIENCE, _LAST_PATIENCE = 2.0, 1.0
 """Time [s] that a stopped job has to end by itself, and when the server ends."""
 _MOST_TEXT = 200_000
 """Bytes of printed text that a page shows."""
-
-
-class BusyError(ArgumentError):
-    """As many jobs run as may run."""
 
 
 @dataclass(eq=False)
@@ -129,14 +121,13 @@ class Jobs:
         If the same command makes this result already, that job is returned.
         """
         with self._lock:  # many requests may ask at the same time
-            running = [job for job in self.all() if job.state == "running"]
-            for job in (job for job in running if result and job.result == result):
+            for job in (
+                job for job in self.all() if result and job.result == result and job.state == "running"
+            ):
                 if job.command == tuple(command):
                     return job
                 words = f"{result} is just being made with other options"
-                raise BusyError(words, remedy="wait until that job has ended, or stop it")
-            if len(running) >= MOST_RUNNING:
-                raise BusyError(f"{MOST_RUNNING} jobs are running", remedy="wait for one, or stop one")
+                raise ArgumentError(words, remedy="wait until that job has ended, or stop it")
             job = self._spare if self._spare.child.poll() is None else self._waiting()
             self._spare = self._waiting()
             job.command, job.title, job.subject, job.result = tuple(command), title, subject, result
@@ -144,8 +135,6 @@ class Jobs:
             job.input.write(json.dumps(command).encode() + b"\n")
             job.input.flush()
             self._jobs[job.key] = job
-            for old in self.all()[MOST_KEPT:]:
-                self.forget(old)
             return job
 
     def all(self) -> list[Job]:

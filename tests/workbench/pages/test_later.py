@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from piga.certificate.certificate_file import read_certificate_file
+from piga.certificate.page import is_draft
+from piga.errors import PigaError
 from piga.workbench.folder import Folder
 from piga.workbench.pages.common import Bench
-from piga.workbench.pages.later import _document, _items, _own
+from piga.workbench.pages.later import _document, _items, _mine, _own
 
 
 @pytest.fixture
@@ -43,7 +45,7 @@ def test_entries_that_the_form_does_not_show_stay_in_the_file(bench: Bench, tmp_
     (tmp_path / "certificate.toml").write_text(own, encoding="utf-8")
     rows = "Air temperature; 20.3 degC; 0.4 K\nHumidity; 46 %"
     text = _document(
-        bench, {"certificate.number": "7", "people.authorised.name": "B", "environment": rows}, whole=False
+        _mine(bench), {"certificate.number": "7", "people.authorised.name": "B", "environment": rows}
     )
     made = read_certificate_file("certificate.toml", content=text)
     assert (made.certificate.number, made.certificate.replaces, made.people.authorised.name) == (
@@ -58,9 +60,10 @@ def test_entries_that_the_form_does_not_show_stay_in_the_file(bench: Bench, tmp_
     assert "too many parts" in item.refusal
 
 
-def test_a_certificate_file_of_a_stranger_is_no_error(bench: Bench, tmp_path: Path) -> None:
-    text = 'laboratory = "x"\nenvironment = ["y"]\n[people]\nauthorised = 3\n'
-    (tmp_path / "certificate.toml").write_text(text, encoding="utf-8")
-    assert "environment" not in _own(bench, None)
-    made = _document(bench, {"laboratory.name": "Our Laboratory", "people.authorised.name": "A"}, whole=True)
-    assert read_certificate_file("certificate.toml", content=made).laboratory.name == "Our Laboratory"
+def test_a_file_that_cannot_be_used_is_refused_and_a_draft_is_marked(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "certificate.toml").write_text('laboratory = "x"\n', encoding="utf-8")
+    with pytest.raises(PigaError, match=r"certificate\.toml"):
+        _own(bench, None)
+    values = {"certificate.number": "7", "laboratory.name": "Our Laboratory", "customer.name": "Our Customer"}
+    assert not is_draft(read_certificate_file("certificate.toml", content=_document({}, values)))
+    assert is_draft(read_certificate_file("certificate.toml", content=_document({}, values, draft=True)))

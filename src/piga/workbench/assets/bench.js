@@ -1,35 +1,4 @@
 "use strict";
-// Numbers at the ticks of an axis, with as many digits as tell two neighbours apart.
-const tickNumbers = (u, splits, axis, space, step) => {
-  let digits = 0;
-  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
-  const short = (value) => value.toExponential(Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step))));
-  return splits.map((value) => (value === null ? "" : (digits > 7 && value ? short(value) : value.toFixed(Math.min(digits, 7))).replace("-", "\u2212")));
-};
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-// A chart that follows its place and the colours of the system.
-const chart = (place, height, labels, options, data) => {
-  const axis = { values: tickNumbers, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--grid"), width: 1 }, labelSize: 22 };
-  const axes = [{ ...axis, label: labels[0], size: 40 }, { ...axis, label: labels[1], size: 72 }];
-  const plot = new uPlot({ width: place.clientWidth, height, axes, ...options }, data, place);
-  new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height })).observe(place);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plot.redraw());
-  return plot;
-};
-
-const curves = (place) => {
-  const figure = JSON.parse(place.dataset.figure);
-  const roles = ["--role-after", "--role-muted", "--bad", "--role-y"];
-  const value = (u, shown) => shown?.toPrecision(5) ?? "";
-  const series = figure.series.map((one, index) => {
-    const stroke = () => colour(roles[index % 4]);
-    return { label: one.name, stroke, value, width: one.point ? 0 : 2, points: { show: one.point, size: 11, fill: stroke } };
-  });
-  const options = { series: [{ label: figure.labels[0], value }, ...series], scales: { x: { time: false } }, legend: { live: false } };
-  chart(place, 260, figure.labels, options, [figure.x, ...figure.series.map((one) => one.values)]);
-  place.removeAttribute("data-figure");
-};
-
 const upload = () => {
   const input = document.getElementById("file");
   if (!input) return;
@@ -93,13 +62,5 @@ document.addEventListener("DOMContentLoaded", () => {
   watch();
   document.querySelectorAll("[data-go] select").forEach((select) => select.addEventListener("change", () => { location.href = select.value; }));
   document.querySelectorAll("[data-back]").forEach((button) => button.addEventListener("click", () => history.back()));
-  document.querySelectorAll("[data-pair]").forEach((slider) => {
-    const number = document.getElementById(slider.dataset.pair);
-    slider.addEventListener("input", () => { number.value = slider.value; });
-    number.addEventListener("input", () => { slider.value = number.value; });
-  });
-  const draw = () => document.querySelectorAll("[data-figure]").forEach(curves);
-  draw();
-  document.addEventListener("htmx:afterSettle", draw);
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 });

@@ -1,4 +1,22 @@
 "use strict";
+// Numbers at the ticks of an axis, with as many digits as tell two neighbours apart.
+const tickNumbers = (u, splits, axis, space, step) => {
+  let digits = 0;
+  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
+  const short = (value) => value.toExponential(Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step))));
+  return splits.map((value) => (value === null ? "" : (digits > 7 && value ? short(value) : value.toFixed(Math.min(digits, 7))).replace("-", "\u2212")));
+};
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+// A chart that follows its place and the colours of the system.
+const chart = (place, height, labels, options, data) => {
+  const axis = { values: tickNumbers, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--grid"), width: 1 }, labelSize: 22 };
+  const axes = [{ ...axis, label: labels[0], size: 40 }, { ...axis, label: labels[1], size: 72 }];
+  const plot = new uPlot({ width: place.clientWidth, height, axes, ...options }, data, place);
+  new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height })).observe(place);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plot.redraw());
+  return plot;
+};
+
 // A record as a picture: envelopes from the server for any span, positions as bands, spans that are left out or move.
 const startPicture = () => {
   const page = document.getElementById("figures");

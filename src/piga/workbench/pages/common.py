@@ -24,7 +24,7 @@ from piga.records.terms import shown_output
 from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
 from piga.workbench.folder import TRIALS, ChangedError, Folder, History, OutsideError
-from piga.workbench.jobs import BusyError, Jobs
+from piga.workbench.jobs import Jobs
 from piga.workbench.security import REPORT_POLICY
 
 _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
@@ -32,16 +32,7 @@ _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 
-class TooLargeError(ArgumentError):
-    """More was sent than is taken."""
-
-
-_STATUSES: dict[type[Exception], int] = {
-    OutsideError: 404,
-    BusyError: 429,
-    TooLargeError: 413,
-    ChangedError: 409,
-}
+_STATUSES: dict[type[Exception], int] = {OutsideError: 404, ChangedError: 409}
 """Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
@@ -109,13 +100,9 @@ def start(request: Request, command: Sequence[str], title: str, subject: str, re
 def _file(request: Request) -> Response:
     """A file of the folder, or of an answer that is not kept: a page in a frame without any rights, all else to save."""
     folder, name = bench_of(request).folder, request.path_params["name"]
-    is_trial = name.startswith(TRIALS)
-    path = folder.root / name if is_trial else folder.file(name)
+    path = folder.root / name if name.startswith(TRIALS) else folder.file(name)
     raw = folder.read(path)
     if path.suffix == ".html":
-        is_draft = is_trial and path.name.startswith("certificate")
-        if is_draft and b'class="draft"' not in raw:  # the command marks a laboratory of the example itself
-            raw += _environment().get_template("draft.html.jinja").render().encode()
         return HTMLResponse(raw, headers={"content-security-policy": REPORT_POLICY})
     headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(path.name)}"}
     return Response(raw, media_type="application/octet-stream", headers=headers)

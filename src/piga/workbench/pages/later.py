@@ -1,6 +1,7 @@
 """What comes after a calibration: certificate, compensation, the plan of the next test.
 
-Also any TOML file as text with the commands that run it, and jobs: how far they are, what they printed and wrote; stop one.
+Also any TOML file as text with the commands that run it, jobs (how far they are, what they printed and wrote; stop one), and
+the regimes of the motion under constant input.
 """
 
 from __future__ import annotations
@@ -12,15 +13,31 @@ import shlex
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
+import numpy as np
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
+from piga.certificate.certificate_file import read_certificate_file
 from piga.data import example_files
 from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
+from piga.instrument import (
+    Instrument,
+    closed_form,
+    dead_zone,
+    fixed_points,
+    mean_rate,
+    regime,
+    revolution_period,
+)
 from piga.records.text_files import toml_document
+from piga.reports import Page, Plot, Section, Tile, page_html
+from piga.reports.render.numbers import significant
+from piga.reports.stand import locking_figure
+from piga.units import G0, to_si
 from piga.workbench.folder import CALIBRATION, ChangedError, Kept, OutsideError
 from piga.workbench.jobs import Job
 from piga.workbench.pages.common import (
@@ -35,6 +52,7 @@ from piga.workbench.pages.common import (
     start,
 )
 from piga.workbench.pages.record import kept_of, left
+from piga.workbench.security import REPORT_POLICY
 
 CERTIFICATE = "certificate.toml"
 """File of the laboratory's own entries."""
@@ -43,6 +61,7 @@ _USUAL = (
     "item.description",
 )  # fmt: skip
 """Entries of the example that any laboratory may have, too."""
+_SIZES = {"a_x": "m/s^2", "a_t": "m/s^2", "time": "s"}
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
@@ -68,13 +87,6 @@ def _example() -> dict[str, Any]:
 def _columns(example: Any) -> tuple[str, ...]:
     """Keys of a list of tables; none for another entry."""
     return tuple(example[0]) if isinstance(example, list) and isinstance(example[0], dict) else ()
-
-
-def _is_like(value: Any, example: Any) -> bool:
-    """True if an entry is of the kind of the example."""
-    if example is None or not isinstance(value, type(example)):
-        return False
-    return not _columns(example) or all(isinstance(row, dict) for row in value)
 
 
 def _shown(value: Any, example: Any) -> str:
@@ -106,18 +118,20 @@ def _typed(text: str, example: Any) -> Any:
 
 
 def _mine(bench: Bench) -> dict[str, Any]:
-    """The laboratory's own certificate file."""
-    with contextlib.suppress(PigaError):
-        return toml_document(Path(CERTIFICATE), bench.folder.text(CERTIFICATE).encode())
-    return {}
+    """The laboratory's own certificate file; empty if there is none."""
+    try:
+        text = bench.folder.text(CERTIFICATE)
+    except OutsideError:
+        return {}
+    read_certificate_file(CERTIFICATE, content=text)
+    return toml_document(Path(CERTIFICATE), text.encode())
 
 
 def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
     """What is known already: the laboratory's own entries, and those of the calibration."""
-    example = _example()
-    mine = {key: value for key, value in _entries(_mine(bench)).items() if _is_like(value, example.get(key))}
-    own = {key: example[key] for key in _USUAL}
-    own |= {key: value for key, value in mine.items() if key in _USUAL or value != example[key]}
+    example, mine = _example(), _entries(_mine(bench))
+    own = {key: mine.get(key, example[key]) for key in _USUAL}
+    own |= {key: mine[key] for key in example if key in mine and mine[key] != example[key]}
     entries = {key: _shown(value, example[key]) for key, value in own.items()}
     if kept is not None:
         entries |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
@@ -155,21 +169,20 @@ def _items(bench: Bench, values: dict[str, str]) -> list[Field]:
     return items
 
 
-def _document(bench: Bench, values: dict[str, str], *, whole: bool) -> str:
-    """The certificate file with what was typed. ``whole``: with the example's entries where there are no own ones, for a draft."""
+def _document(document: dict[str, Any], values: dict[str, str], *, draft: bool = False) -> str:
+    """The certificate file with what was typed. ``draft``: the example's entries where there are no own ones, and its mark."""
     import tomlkit
 
-    document = _mine(bench)
     for key, example in _example().items():
         text, (*path, last) = values.get(key, "").strip(), key.split(".")
         table = document
         for part in path:
-            if not isinstance(table.get(part), dict):
-                table[part] = {}
-            table = table[part]
+            table = table.setdefault(part, {})
         table.pop(last, None)
-        if text or whole:
+        if text or draft:
             table[last] = _typed(text, example) if text else example
+    if draft:
+        document["certificate"]["number"] = f"DRAFT {values['certificate.number']}"
     return str(tomlkit.dumps(document))
 
 
@@ -197,20 +210,19 @@ def _certificate(request: Request, sent: Sent) -> Response:
 def _issue(request: Request, sent: Sent, kept: Kept, values: dict[str, str], *, is_draft: bool) -> Response:
     """Save the laboratory's entries; show a draft, or issue the certificate."""
     bench = bench_of(request)
-    bench.history.write(
-        CERTIFICATE, sent.get("seen", ""), _document(bench, values, whole=False), "certificate entries"
-    )
-    out, source, title = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE, "Certificate"
+    text = _document(_mine(bench), values)
+    bench.history.write(CERTIFICATE, sent.get("seen", ""), text, "certificate entries")
+    out, source = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE
     if is_draft:
         place = bench.folder.state_room("trials") / secrets.token_hex(8)
-        place.with_suffix(".toml").write_text(_document(bench, values, whole=True), encoding="utf-8")
-        out, title = bench.folder.name(place), "DRAFT certificate"
+        place.with_suffix(".toml").write_text(_document(_mine(bench), values, draft=True), encoding="utf-8")
+        out = bench.folder.name(place)
         source = f"{out}.toml"
-    else:
-        bench.folder.path(out)
     command = ["certificate", "issue", f"{kept.name}/{CALIBRATION}", "--data", source, "--out", out]
     command += ["--dcc"] if sent.get("dcc") else []
-    return redirect(f"/jobs/{bench.jobs.start(command, title, kept.name, out).key}")
+    if is_draft:
+        return redirect(f"/jobs/{bench.jobs.start(command, 'DRAFT certificate', kept.name, out).key}")
+    return start(request, command, "Certificate", kept.name, out)
 
 
 def _asked(
@@ -221,7 +233,7 @@ def _asked(
     if sent and not any(field.refusal for field in typed):
         return {field.key: field for field in typed}, None
     shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
-    values = shown | {"title": title, "words": words, "fields": typed, "link": link}
+    values = shown | {"title": title, "words": words, "fields": typed, "link": link, "shown": None}
     return {}, render(request, "form.html.jinja", 422 if sent else 200, **values)
 
 
@@ -237,24 +249,20 @@ def _compensation(request: Request, sent: Sent) -> Response:
         Field("of", "calibration", choices=kept, typed=of),
         Field("phase", "phase of the output zero, if it is known (else empty)", "0.48 rad", like="rad"),
         Field("identify-phase", "or: estimate it from the first stretch at rest", "60 s", like="s"),
-        Field("rate", "output rate (empty: that of the record)", "10 Hz", like="Hz"),
-        Field("format", "file", choices=(("parquet", "parquet"), ("csv", "csv"))),
-        Field("other", "accept a calibration of another serial number", choices=(("", "no"), ("1", "yes"))),
     ]
     words = (
         "The cross-coupling is taken off the record with the coefficients of a kept calibration. "
-        "The file is written beside the record."
+        "The file is written beside the record. Other rates, CSV, and a calibration of another serial number: piga compensate."
     )
     asked, page = _asked(request, sent, "Compensate", words, fields if kept else [])
     if page is not None:
         return page
     run = folder.toml(asked["run"].typed)
     calibration = f"{kept_of(bench, asked['of'].typed).name}/{CALIBRATION}"
-    out = run.with_name(f"{run.stem}-compensated.{'csv' if asked['format'].typed == 'csv' else 'parquet'}")
+    out = run.with_name(f"{run.stem}-compensated.parquet")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
     command += [f"--{field.key}={field.value}" for field in asked.values() if field.like and field.typed]
-    command += ["--other-serial"] if asked["other"].typed else []
     return start(request, command, "Compensate", folder.name(run), folder.name(out))
 
 
@@ -392,11 +400,70 @@ def _result_files(bench: Bench, job: Job) -> list[str]:
     return [bench.folder.name(path) for path in files if path.is_file() and not path.name.startswith(".")]
 
 
+_EXPLORED = (
+    Field("a_x", "specific force along the input axis", "0.02 g", typed="0.02 g", like="m/s^2", needed=True),
+    Field("a_t", "transverse specific force", "5 g", typed="5 g", like="m/s^2", needed=True),
+    Field("beta", "non-orthogonality \u03b2", "1000 arcsec", typed="1000 arcsec", like="rad", needed=True),
+    Field("K", "scale factor K", "0.8884 rad/s/g", typed="0.8884 rad/s/g", like="rad/s/g", needed=True),
+    Field("time", "time shown", "200 s", typed="200 s", like="s", needed=True),
+)
+_POINTS = 601
+
+
+def _explore(request: Request) -> Response:
+    """The regimes of the motion under constant input: the values that are asked for, and a page of figures."""
+    fields = [field.with_sent(dict(request.query_params)) for field in _EXPLORED]
+    given = urlencode({field.key: field.value for field in fields if not field.refusal})
+    shown = "" if any(field.refusal for field in fields) else f"/explore/page?{given}"
+    words = "The motion of the gimbal under constant specific force. Every published case, computed and compared: piga reproduce."
+    values = {"title": "Explore", "words": words, "fields": fields, "link": "", "shown": shown}
+    return render(request, "form.html.jinja", 422 if not shown else 200, **left(bench_of(request)), **values)
+
+
+def _explored(request: Request) -> Response:
+    """Regime, lock zone and motion for given values, as a report."""
+    given = {field.key: field.with_sent(dict(request.query_params)).value for field in _EXPLORED}
+    inst = Instrument(scale_factor=given["K"], beta=given["beta"])
+    a_x, a_t, time_shown = (to_si(given[key], like, what=key) for key, like in _SIZES.items())
+    forces, degree, turn = (a_x, a_t, 0.0), 180.0 / np.pi, 2.0 * np.pi
+    name, border = regime(inst, *forces), float(dead_zone(inst, a_t, 0.0)[1])
+    alpha, t = np.linspace(-np.pi, np.pi, _POINTS), np.linspace(0.0, abs(time_shown), _POINTS)
+    rates = Plot("rates", "Rate against angle.", "output angle \u03b1 [deg]", "output rate [deg/s]")
+    rate = degree * inst.scale_factor * (a_x + inst.tan_beta * a_t * np.sin(alpha))
+    rates.line(degree * alpha, rate, "rate", "after").level(degree * alpha, 0.0, "at rest", "muted")
+    tiles = [
+        Tile("regime", name),
+        Tile("locked zone of a_x", f"\u00b1 {significant(border / (1e-3 * G0), 4)}", "mg"),
+        Tile("mean output rate", significant(degree * float(mean_rate(inst, *forces)), 4), "deg/s"),
+    ]
+    if name == "running":
+        tiles.append(Tile("one revolution", significant(float(revolution_period(inst, *forces)), 4), "s"))
+    if name == "locked":
+        rests = [degree * float(at) for at in fixed_points(inst, *forces)]
+        tiles.append(Tile("rest angle", significant(rests[0], 4), "deg"))
+        for words, at in zip(("stable rest", "unstable rest"), rests, strict=True):
+            rates.points([at], [0.0], words, "model" if words == "stable rest" else "warning")
+    motion = Plot("motion", "Output angle against time.", "time [s]", "output angle \u03b1 [rev]")
+    motion.line(t, closed_form(inst, t, *forces)[0] / turn, "with cross-coupling", "after")
+    motion.dashed(t, inst.scale_factor * a_x * t / turn, "without")
+    content = (
+        rates.caption("Where the curve crosses zero the gimbal can rest."),
+        locking_figure(inst, (a_t,)),
+        motion.caption("The exact closed form, from \u03b1 = 0."),
+    )
+    page = Page(
+        "Constant input", "", tuple(tiles), (Section("Motion", "the-motion", content),), "piga \u00b7 explore"
+    )
+    return HTMLResponse(page_html(page), headers={"content-security-policy": REPORT_POLICY})
+
+
 ROUTES = [
     *form("/certificate", _certificate),
     *form("/compensate", _compensation),
     *form("/plan", _plan),
     *form("/text", _text),
+    Route("/explore", _explore),
+    Route("/explore/page", _explored),
     Route("/jobs", _show_jobs),
     Route("/jobs/{key}", _show_job),
     Route("/jobs/{key}/progress", _progress),

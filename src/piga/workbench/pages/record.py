@@ -28,11 +28,10 @@ from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit,
 from piga.records.text_files import files_named_in, toml_value
 from piga.reports.render.numbers import rounded
 from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
-from piga.workbench.jobs import FIT, BusyError, Job
+from piga.workbench.jobs import FIT, Job
 from piga.workbench.pages.common import (
     Bench,
     Sent,
-    TooLargeError,
     bench_of,
     posted,
     redirect,
@@ -113,7 +112,7 @@ async def _take(request: Request) -> Response:
                 stream.write(piece)
                 if stream.tell() > MOST_UPLOAD:
                     words = f"{target.name}: is larger than {MOST_UPLOAD >> 30} GiB"
-                    raise TooLargeError(words, remedy="copy it into the folder")
+                    raise ArgumentError(words, remedy="copy it into the folder")
         await run_in_threadpool(put_in_place, part, target, replace=False)
     finally:
         part.unlink(missing_ok=True)
@@ -150,19 +149,16 @@ def _show(request: Request) -> Response:
         "job": None,
         "right": {},
     }
-    values |= {"waits": "", "message": "", "seen": "", "repairs": []}
+    values |= {"message": "", "seen": "", "repairs": []}
     with contextlib.suppress(PigaError):
         values["seen"] = bench.history.seen(bench.folder.text(name))
-    try:
-        if entry.state == "faulty":
-            values["message"] = entry.message
-        else:
-            values["outline"], job = _reading(bench, name)
-            if job is not None and job.state in _ENDED:
-                values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
-            values["job"] = job
-    except BusyError as error:  # the page asks again
-        values["waits"] = error.message
+    if entry.state == "faulty":
+        values["message"] = entry.message
+    else:
+        values["outline"], job = _reading(bench, name)
+        if job is not None and job.state in _ENDED:
+            values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
+        values["job"] = job
     if values["message"]:
         values["repairs"] = _repairs(bench, entry)
     if (outline := values["outline"]) is not None:
@@ -293,15 +289,13 @@ def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dic
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
     terms_shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {"answer": None, "every": 1, "fit": None, "former": None}
-    values |= {"message": "", "waits": ""}
+    values |= {"message": ""}
     values |= {"terms": terms_shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual)}
     try:
         check_terms(terms, output=run_file.unit)
         state = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
         key = hashlib.sha256(state.encode()).hexdigest()[:16]
         answer, every, fit = _fitted(bench, name, key, terms, outline)
-    except BusyError as error:  # the page asks again
-        return values | {"waits": error.message}
     except PigaError as error:
         return values | {"message": str(error)}
     if fit is not None and fit.state in _ENDED:
