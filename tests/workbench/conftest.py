@@ -16,12 +16,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import urlencode
 
 import pytest
 
 import piga
+from tests.memory import kilobytes
 
 os.environ["PYTHONPATH"] = str(Path(piga.__file__).resolve().parent.parent)
 """Servers and jobs have other working folders. They run the piga that is tested."""
@@ -96,6 +97,14 @@ def wait_until(holds: Callable[[], object], seconds: float = 120.0) -> None:
         time.sleep(0.05)
 
 
+def memory(pid: int) -> float:
+    """Memory of a process without mapped files [MB]; 0 if it has ended."""
+    try:
+        return kilobytes("RssAnon", pid) / 1000.0
+    except (OSError, KeyError):
+        return 0.0
+
+
 def ends_with_parent() -> None:
     """Linux kills this process when its parent has ended, however that came."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -103,8 +112,6 @@ def ends_with_parent() -> None:
 
 class Server:
     """``piga ui`` in a process of its own. ``program`` starts it otherwise: options of Python and their values."""
-
-    started: ClassVar[list[Server]] = []
 
     def __init__(self, folder: Path, *options: str, program: Sequence[str] = ("-m", "piga")) -> None:
         self.folder = folder
@@ -116,7 +123,6 @@ class Server:
             env=os.environ | {"OMP_NUM_THREADS": "1"},
             preexec_fn=ends_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509  no lock is held
         )
-        self.started.append(self)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         match = READY.search(line)
@@ -137,18 +143,6 @@ def entered(folder: Path) -> Server:
     server = Server(folder)
     server.client.enter()
     return server
-
-
-@pytest.fixture(autouse=True)
-def _no_server_is_left() -> Iterator[None]:
-    """A test that fails leaves none of its servers behind. Those of its module go on."""
-    before = list(Server.started)
-    yield
-    for server in Server.started:
-        if server not in before and server.process.poll() is None:
-            server.process.kill()
-            server.process.communicate()
-    Server.started = before
 
 
 def shipped_record(folder: Path) -> Path:

@@ -60,6 +60,11 @@ def test_no_file_is_read_through_a_link_or_pipe(tmp_path: Path) -> None:
     for name in ("link.toml", "out/secret", "pipe.toml", "out"):
         with pytest.raises(OutsideError):
             folder.path(name)
+    run = shipped_record(lab).read_text(encoding="utf-8")
+    for named in ("../secret", "/dev/zero", "link.toml"):
+        (lab / "names.toml").write_text(run.replace('"tumble-a.csv"', f'"{named}"'), encoding="utf-8")
+        with pytest.raises(OutsideError, match="names"):
+            folder.toml("names.toml")
 
 
 def test_the_hidden_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

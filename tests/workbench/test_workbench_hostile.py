@@ -13,8 +13,7 @@ import pytest
 
 from piga.workbench.folder import Folder, OutsideError
 from tests.reports.example import calibration
-from tests.workbench.conftest import Client, Server, entered, shipped_record, wait_until
-from tests.workbench.size import memory
+from tests.workbench.conftest import Client, Server, entered, memory, shipped_record, wait_until
 
 EVIL = "\"'><img src=x onerror=alert(1)></textarea><script>alert(1)</script>{{7*7}}"
 RAW = ("<img src=x", "<script>alert", "</textarea><s", ">49<")
