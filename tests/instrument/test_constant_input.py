@@ -93,7 +93,7 @@ def test_base_rate_enters_as_u():
     [
         ([0.0, math.nan], 1.0, "t: nan at index 1"),
         ([], 1.0, "t: empty"),
-        (1.0, math.inf, "a_x: inf is not a finite number"),
+        (1.0, math.inf, "a_x: holds a value that is not a finite number"),
     ],
 )
 def test_bad_input_is_named(t, a_x, message):

@@ -28,19 +28,6 @@ Regime = Literal["zero", "critical", "locked", "running"]
 _ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
 
 
-def effective_rates(
-    inst: Instrument, a_x: float, a_Y: float, a_Z: float, base_rate: ArrayLike | None = None
-) -> tuple[float, float, float]:
-    """``a = u_x``, ``y = tan(beta) u_Y``, ``z = tan(beta) u_Z`` [rad/s] with ``u = K f - Omega``."""
-    omega = _base_rate(base_rate)
-    for name, value in (("a_x", a_x), ("a_Y", a_Y), ("a_Z", a_Z), ("base_rate", omega.sum())):
-        if not math.isfinite(value):
-            raise ArgumentError(f"{name}: {value!r} is not a finite number", remedy="give a finite number")
-    K = inst.scale_factor
-    u_x, u_Y, u_Z = K * a_x - omega[0], K * a_Y - omega[1], K * a_Z - omega[2]
-    return float(u_x), float(inst.tan_beta * u_Y), float(inst.tan_beta * u_Z)
-
-
 def _base_rate(given: ArrayLike | None) -> Array:
     omega = np.zeros(3) if given is None else np.asarray(given, dtype=float)
     if omega.shape != (3,):
@@ -81,10 +68,10 @@ def regime(
     >>> regime(inst, a_x=9.8, a_Y=49.0, a_Z=0.0)
     'running'
     """
-    a, y, z = effective_rates(inst, a_x, a_Y, a_Z, base_rate)
+    a, b, _ = (float(value) for value in adler(inst, a_x, a_Y, a_Z, base_rate))
     if a == 0.0:
         return "zero"
-    b = math.hypot(y, z)
+    b = abs(b)
     if base_rate is None:
         a, b = a_x, abs(inst.tan_beta) * math.hypot(a_Y, a_Z)
     gap = abs(a) - b
@@ -93,7 +80,7 @@ def regime(
     return "running" if gap > 0.0 else "locked"
 
 
-def _adler(
+def adler(
     inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, base_rate: ArrayLike | None
 ) -> tuple[Array, Array, Array]:
     """``a``, signed ``b`` (sign of beta) [rad/s] and ``gamma`` [rad]."""
@@ -121,7 +108,7 @@ def mean_rate(
     inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
 ) -> Array:
     """Mean rate over whole revolutions [rad/s]: ``sign(a) sqrt(a^2 - b^2)``, and 0 when locked."""
-    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    a, b, _ = adler(inst, a_x, a_Y, a_Z, base_rate)
     return np.asarray(np.sign(a) * np.sqrt(np.maximum(_signed_square(a, b), 0.0)))
 
 
@@ -142,7 +129,7 @@ def fixed_points(
     ``sin(alpha - gamma) = -a/b``; the rate falls with the angle at the stable one. On the separatrix they
     coincide; NaN where the gimbal revolves, or nothing acts on it.
     """
-    a, b, gamma = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    a, b, gamma = adler(inst, a_x, a_Y, a_Z, base_rate)
     with np.errstate(invalid="ignore", divide="ignore"):
         root = np.sqrt(-_signed_square(a, b))
         turned = np.where(b == 0.0, np.nan, np.sign(b))
@@ -162,7 +149,7 @@ def locking_time(
 
     Infinite on the separatrix, where the decay is algebraic; NaN where the gimbal revolves.
     """
-    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    a, b, _ = adler(inst, a_x, a_Y, a_Z, base_rate)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(1.0 / np.sqrt(-_signed_square(a, b)))
 
@@ -174,7 +161,7 @@ def dead_zone(
 
     ``Omega_x/K -+ b/K``; without base rate ``-+ a_t tan(beta)``.
     """
-    a, b, _ = _adler(inst, 0.0, a_Y, a_Z, base_rate)
+    a, b, _ = adler(inst, 0.0, a_Y, a_Z, base_rate)
     K = inst.scale_factor
     return np.asarray((-a - np.abs(b)) / K), np.asarray((-a + np.abs(b)) / K)
 
@@ -183,7 +170,7 @@ def separatrix_distance(
     inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
 ) -> Array:
     """Input beyond the dead zone, ``(|a| - |b|)/K`` [m/s^2]: positive when running, negative when locked."""
-    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    a, b, _ = adler(inst, a_x, a_Y, a_Z, base_rate)
     return np.asarray((np.abs(a) - np.abs(b)) / inst.scale_factor)
 
 

@@ -287,38 +287,21 @@ class ScenarioFile(TomlTable, frozen=True):
         )
         steps, fastest = scenario.steps, max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate)
         for wrong, message, remedy in (
-            (
-                motion.kind == "track" and not motion.file,
-                "[motion] kind = 'track' needs a file",
-                "add file = 'track.csv'",
-            ),
+            (motion.kind == "track" and not motion.file,
+             "[motion] kind = 'track' needs a file", "add file = 'track.csv'"),
             (not c.models, "[compensation] models is empty", "name one of none, A, B, C"),
-            (
-                motion.kind != "static" and "aligned" in (c.attitude, c.drift),
-                "[compensation] attitude or drift = 'aligned' needs a static base",
-                "write 'true', or [motion] kind = 'static'",
-            ),
-            (
-                steps < 8,
-                f"[run] duration holds {steps} steps; at least 8 are needed",
-                "lengthen the duration or shorten the step",
-            ),
-            (
-                abs(steps * step - scenario.duration) > 1e-6 * scenario.duration,
-                f"[run] duration is not a whole number of steps of {step:g} s",
-                f"write e.g. '{steps * step:g} s'",
-            ),
-            (
-                abs(self.site.latitude) > 1.5,
-                "[site] latitude is within 4 deg of a pole, where the gimbals lock",
-                "choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel",
-            ),
-            (
-                fastest * step > 0.8,
-                f"[run] step {step:g} s gives fewer than 8 samples per case turn",
-                "shorten the step or lengthen [case_rotation] period",
-            ),
-        ):
+            (motion.kind != "static" and "aligned" in (c.attitude, c.drift),
+             "[compensation] attitude or drift = 'aligned' needs a static base",
+             "write 'true', or [motion] kind = 'static'"),
+            (steps < 8, f"[run] duration holds {steps} steps; at least 8 are needed",
+             "lengthen the duration or shorten the step"),
+            (abs(steps * step - scenario.duration) > 1e-6 * scenario.duration,
+             f"[run] duration is not a whole number of steps of {step:g} s", f"write e.g. '{steps * step:g} s'"),
+            (abs(self.site.latitude) > 1.5, "[site] latitude is within 4 deg of a pole, where the gimbals lock",
+             "choose a lower latitude: near a pole the azimuth and polar gimbal axes become parallel"),
+            (fastest * step > 0.8, f"[run] step {step:g} s gives fewer than 8 samples per case turn",
+             "shorten the step or lengthen [case_rotation] period"),
+        ):  # fmt: skip
             if wrong:
                 raise ArgumentError(message, remedy=remedy)
         return scenario

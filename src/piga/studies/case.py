@@ -11,7 +11,6 @@ from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._kernels.jit import kernel
 from piga.calibration.calibrate import calibrate
@@ -279,9 +278,10 @@ def published_recursion(
     state[1] -= direction
     covariance = np.eye(state.size) * variance
     marks = np.unique(np.linspace(1, s.size, min(POINTS, s.size)).astype(np.int64))
-    history = np.empty((marks.size, state.size))
-    total = _recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, marks, history)
+    history = np.empty((s.size, state.size))
+    total = _recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, history)
     state[1] += direction
+    history = history[marks - 1]
     history[:, 1] += direction
     values = {"sample": marks.astype(float), **dict(zip(names, history.T, strict=True))}
     if state[0] < 0.0:
@@ -322,20 +322,18 @@ def _recursion(
     s: Array,
     x: Array,
     P: Array,
-    marks: NDArray[np.int64],
     history: Array,
 ) -> float:
     """Run the recursion over all samples; ``x`` and ``P`` are updated in place.
 
     ``y = indicated - a_x``, ``row = [a_t sin(s + x2), a_t x1 cos(s + x2), 1, a_x, a_x^2]`` cut to the
-    states, ``gain = P row / (1 + row P row)``, as published [Wei2024, eq. 12-18 and 22-24]. After sample
-    ``marks[i] - 1`` the state goes into ``history[i]``. Returns the sum of squared innovations.
+    states, ``gain = P row / (1 + row P row)``, as published [Wei2024, eq. 12-18 and 22-24]. The states after each sample
+    go into ``history``. Returns the sum of squared innovations.
     """
     m = x.size
     row = np.empty(m)
     Pr = np.empty(m)
     total = 0.0
-    mark = 0
     for i in range(indicated.size):
         sine, cosine = math.sin(s[i] + x[1]), math.cos(s[i] + x[1])
         row[0] = a_t[i] * sine
@@ -358,7 +356,5 @@ def _recursion(
             for k in range(m):
                 P[j, k] -= gain * Pr[k]
         total += residual * residual
-        while mark < marks.size and marks[mark] == i + 1:
-            history[mark] = x
-            mark += 1
+        history[i] = x
     return total
