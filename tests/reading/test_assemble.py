@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
+from piga.formats.text import source as text_source
+from piga.records import arrays
 from piga.units import G0
 from tests.records.files import events, lines, psi_steps, read, write_log, write_run
 
@@ -207,3 +209,32 @@ def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> Non
     assert result["sequence-gap"].detail.startswith("3 samples missing")
     assert result["sequence-back"].count == 1
     assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]
+
+
+def outcome(path: Path) -> piga.Run | str:
+    """The run, or the error."""
+    try:
+        return piga.read_run(path)
+    except piga.PigaError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("data", ['segment = "s"', 'segment = "s"\ndamaged_rows = "mask"'])
+def test_any_size_of_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: str) -> None:
+    """A log with everything that a log may have wrong."""
+    rows = [f"{line},{'AB'[i // 12 % 2]}" for i, line in enumerate(lines(60))]
+    rows[5] = rows[5].replace(",A", ',"A"')
+    rows[9] = rows[9].replace(",1.0,", ",NaN,")
+    rows[20:22] = rows[21:19:-1]
+    del rows[30:33]
+    rows[40:40] = ["", rows[40]]
+    for at, damaged in ((10, "x,1,1.0,0.1,0.0,A"), (15, "1,2"), (44, rows[44] + "\0"), (45, rows[45] + "\r,")):
+        rows[at] = damaged
+    write_log(tmp_path, rows, header="t,n,fx,fy,fz,s")
+    path = write_run(tmp_path, data=data)
+    whole = outcome(path)
+    assert isinstance(whole, str) == ("mask" not in data)
+    for piece, large in ((20, 0), (77, 1 << 30), (500, 0)):
+        monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
+        monkeypatch.setattr(arrays, "LARGE_BYTES", large)
+        assert outcome(path) == whole

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import piga
 from piga.errors import DataError
@@ -45,23 +42,6 @@ def test_holds_are_found_and_moves_are_not(noise, resolution, move):
     for (start, stop), (first, end) in zip(found, spans, strict=True):
         assert first <= start < stop <= end, "rows of a move are in a position"
         assert stop - start > 0.97 * (end - first), "rows of a position are lost"
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.integers(0, 35), min_size=2, max_size=12),
-    st.integers(200, 4000),
-    st.integers(0, 600),
-    st.integers(0, 99),
-)
-def test_any_order_of_positions(tens, dwell, move, seed):
-    levels = [10.0 * level for level, _ in itertools.groupby(tens)]
-    if len(levels) < 2:
-        return
-    x, spans = stand(levels, dwell, move, 1e-4, 0.0, seed)
-    found = positions(x)
-    assert len(found) == len(levels)
-    assert all(first <= a < b <= end for (a, b), (first, end) in zip(found, spans, strict=True))
 
 
 def head_log(folder: Path, *, kind="counts", direction=1, gap=0, lost=0, move=300, noise=1e-4) -> Path:

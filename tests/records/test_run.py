@@ -78,43 +78,6 @@ def test_counts_that_wrap_are_a_run_without_a_file(run):
     assert made.resolution == pytest.approx(2 * np.pi / 72000)
 
 
-def test_the_file_and_the_table_are_one_record(tmp_path):
-    """The shipped record, from its file and from a table of it with the same description."""
-    import tomllib
-
-    import pyarrow.csv
-
-    from piga.data import copy_example
-
-    path = copy_example(tmp_path)
-    file = piga.read_run(path)
-    description = tomllib.loads(path.read_text(encoding="utf-8"))
-    table = pyarrow.csv.read_csv(tmp_path / "tumble-a.csv")
-    data, instrument = description["data"], description["instrument"]
-    made = piga.Run.from_dataframe(
-        table,
-        time=data["time"]["column"],
-        output=data["output"]["column"],
-        kind=data["output"]["kind"],
-        reference=data["reference"]["columns"] if "reference" in data else None,
-        base_rate=data["base_rate"]["columns"] if "base_rate" in data else None,
-        segment=data.get("segment"),
-        units=units_of(data),
-        **instrument,
-        model=description["model"],
-        uncertainty=description.get("uncertainty"),
-        stand=description.get("stand"),
-    )
-    assert replace(made, source=file.source, input_sha256=file.input_sha256, row=file.row) == file
-
-
-def units_of(data) -> dict[str, str]:
-    units = {data["time"]["column"]: data["time"]["unit"]}
-    for group in ("reference", "base_rate"):
-        units |= dict.fromkeys(data.get(group, {}).get("columns", ()), data[group]["unit"])
-    return units
-
-
 @pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
 @pytest.mark.parametrize("resolution", ["ns", "ms"])
 def test_a_time_of_dates_counts_from_the_first_midnight(run, zone, resolution):

@@ -21,7 +21,7 @@ from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from piga.records.text_files import open_regular, read_whole
-from tests.records.files import lines, write_log, write_run
+from tests.records.files import lines, write_run
 
 READERS: dict[str, Callable[[Path], object]] = {
     "json": piga.Calibration.from_json,
@@ -82,23 +82,6 @@ def test_data_files(tmp_path: Path, ending: str, kind: str) -> None:
     run = write_run(tmp_path, path.name)
     error = within(5.0, lambda: piga.read_run(run))
     assert isinstance(error, PigaError)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no pipes and devices among the files there")
-@pytest.mark.parametrize("kind", ["folder", "fifo", "device", "broken link"])
-def test_a_sidecar_that_is_no_file_is_not_ignored(tmp_path: Path, kind: str) -> None:
-    write_log(tmp_path, lines())
-    sidecar = tmp_path / "run.csv.sha256"
-    if kind == "folder":
-        sidecar.mkdir()
-    elif kind == "fifo":
-        os.mkfifo(sidecar)
-    else:
-        sidecar.symlink_to("/dev/zero" if kind == "device" else "gone")
-    run = write_run(tmp_path)
-    error = within(5.0, lambda: piga.read_run(run))
-    assert isinstance(error, piga.DataError)
-    assert "run.csv.sha256: " in str(error)
 
 
 def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:
