@@ -115,10 +115,8 @@ class CalibrationPlots:
     ripple = _figure("ripple", "Ripple around the turn of the output: two panels.")
     segments = _figure("segments", "Residuals of each segment.")
     creep = _figure("creep", "Residual rate against the time since the start of the position.")
-    budget = _figure("budget", "Share of each source in the variance of each coefficient.")
     allan = _figure("allan", "Allan deviation of the residual rate, with the noise of the model.")
     whiteness = _figure("whiteness", "Tests of the whitened residual.")
-    convergence = _figure("convergence", 'Estimates while the record comes in, for method "recursive".')
 
 
 @dataclass(frozen=True, repr=False, eq=False, kw_only=True)

@@ -298,18 +298,13 @@ def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
     largest element.
     """
     size = len(c)
-    if stated.names != tuple(c):
-        yield "covariance names differ from the coefficients"
-    if [len(row) for row in stated.matrix] != [size] * size:
-        yield "the covariance is not a full square matrix"
+    if stated.names != tuple(c) or [len(row) for row in stated.matrix] != [size] * size:
+        yield "the covariance is not a square matrix of the coefficients in their order"
     matrix = np.array(stated.matrix, dtype=float).reshape(size, size)
-    for k, variance in zip(c.coefficients, np.diag(matrix).tolist(), strict=True):
-        if variance < 0.0:
-            yield f"the variance of '{k.key}' is negative"
-        std = math.sqrt(variance)
+    for k, std in zip(c.coefficients, np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist(), strict=True):
         if abs(std - k.std) > SAME * max(k.std, std):
             yield f"the standard uncertainty of '{k.key}' is {k.std:.6g}, but the covariance gives {std:.6g}"
-    scale = np.sqrt(np.diag(matrix))
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
     compared = matrix if c.method == "published" else correlation
