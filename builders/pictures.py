@@ -193,7 +193,7 @@ def twin() -> None:
             run_file_text(read_scenario(ROOT / "examples" / "twin.toml"), test, "run.parquet"), "utf-8"
         )
         cal = piga.calibrate(piga.read_run(path), ["tan_beta", "k0"])
-    order = spectrum_figure(order_spectrum(cal.residuals, scale_factor(cal)))
+    order = spectrum_figure(order_spectrum(cal.residuals, scale_factor(cal)), cal)
     save(replace(order, key="twin-order-two", title="A soft servo shows at order 2"))
     spun = run_scenario(read_scenario(ROOT / "examples" / "twin-spin-up.toml"))
     save(replace(stand.servo_figure(spun, spun.motion), key="twin-lock"))
