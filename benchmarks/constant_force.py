@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 import piga
 from piga.records.calibration.coefficient import changes
@@ -33,34 +34,33 @@ PAUSE = 5.0
 
 FORCE_UNITS = {
     "seconds": "s", "pause": "s", "rate": "Hz", "white": "rad", "walk": "rad/sqrt(s)", "count": "rad",
-    "drift": "rad/s/sqrt(s)", "scatter": "rad/s",
+    "drift": "rad/s/sqrt(s)", "scatter": "rad/s", "markov": "rad/s", "flicker": "rad/s",
 }  # fmt: skip
 """Unit of each quantity of a case, by its key."""
 
 
 def constant_steps(a: Array, y: Array, z: Array, start: Array, noise: Array) -> Array:
-    """Angle under the constant force of each segment after every step: the exponential of a 2 x 2 matrix, then noise.
+    """Angle after every step of constant force: the exponential of a 2 x 2 matrix, then noise, (segments, n + 1) [rad].
 
     Parameters
     ----------
     a, y, z:
-        Turn of one step without the coupling, and of the coupling, times its tangent, (segments,) [rad].
+        Turn of one step without the coupling, and of the coupling, times its tangent, (segments, n) or (segments, 1) [rad].
     start:
         First angle of each segment [rad].
     noise:
         Added after each step, (segments, n) [rad].
-
-    Returns
-    -------
-    NDArray
-        (segments, n + 1) [rad].
     """
     root = np.emath.sqrt(0.25 * (y * y + z * z - a * a)) + 1e-30
-    c, s = np.cosh(root).real, (np.sinh(root) / root).real
+    parts = [
+        np.broadcast_to(v, noise.shape).T for v in (a, y, z, np.cosh(root).real, (np.sinh(root) / root).real)
+    ]
     angles = [start]
-    for added in noise.T:
+    for a_k, y_k, z_k, c, s, added in zip(*parts, noise.T, strict=True):
         sine, cosine = np.sin(angles[-1]), np.cos(angles[-1])
-        turned = np.arctan2(0.5 * s * (a + y * sine - z * cosine), c - 0.5 * s * (y * cosine + z * sine))
+        turned = np.arctan2(
+            0.5 * s * (a_k + y_k * sine - z_k * cosine), c - 0.5 * s * (y_k * cosine + z_k * sine)
+        )
         angles.append(angles[-1] + 2.0 * turned + added)
     return np.array(angles).T
 
@@ -71,7 +71,8 @@ def read_cases(path: Path) -> dict[str, ConstantForce | Joint]:
     Segments are given by ``forces`` [g], ``tumble`` or ``centrifuge``; several of these are joined in this order. ``truth``
     has the units of calibration.json. ``walk`` is the random walk of the angle, ``white`` the white noise of the reading,
     ``count`` the step of the counter, ``drift`` the random walk of the rate (zero in the middle of the test), ``scatter`` an
-    offset of the rate that is new in each segment. Tests in ``joint`` are calibrated together.
+    offset of the rate that is new in each segment. ``markov`` and ``flicker`` are errors of the rate with a memory: of 60 s, and
+    of 2 to 2000 s. ``swing`` is one continuous segment whose force sways. Tests in ``joint`` are calibrated together.
     """
     document = tomllib.loads(path.read_text(encoding="utf-8"))
     tests: dict[str, ConstantForce | Joint] = {}
@@ -88,8 +89,9 @@ def _test(name: str, table: dict[str, Any]) -> ConstantForce:
     truth = dict(table.get("truth", {}))
     fixed = {key: truth.pop(key) for key in ("scale_factor", "tan_beta", "phi") if key in truth}
     return ConstantForce(
-        name=name, forces=forces, turning=turning, truth=truth, terms=tuple(table["terms"]), **values, **fixed
-    )
+        name=name, forces=forces, turning=turning, truth=truth, terms=tuple(table["terms"]),
+        swing=table.get("swing", False), **values, **fixed,
+    )  # fmt: skip
 
 
 def _segments(table: dict[str, Any]) -> tuple[Array, Array | None]:
@@ -100,14 +102,13 @@ def _segments(table: dict[str, Any]) -> tuple[Array, Array | None]:
     if "tumble" in table:
         given = table["tumble"]
         start = to_si(given.get("start", "0.13 rad"), "rad")
-        parts.append(
-            tumble(given["positions"], tuple(given.get("levels", (1.0,))), start, given.get("side", 0.02))
-        )
+        made = tumble(given["positions"], tuple(given.get("levels", (1.0,))), start, given.get("side", 0.02))
+        parts.append(np.random.default_rng(1).permutation(made) if given.get("shuffle") else made)
     if "centrifuge" in table:
         given = table["centrifuge"]
         forces, turning = centrifuge(given["levels"], to_si(given.get("radius", "1 m"), "m"))
         parts.append(forces)
-    return np.vstack(parts), turning
+    return np.vstack(parts or [np.zeros(3)]), turning
 
 
 PRODUCTS: dict[str, Callable[[Array, Array, Array], Array]] = {
@@ -162,32 +163,45 @@ class ConstantForce:
     scatter: float = 0.0
     scale_factor: float = SCALE
     pause: float = PAUSE
+    markov: float = 0.0
+    flicker: float = 0.0
+    swing: bool = False
 
     def true_value(self, name: str) -> float:
         """Truth in file units."""
         fixed = {"scale_factor": self.scale_factor, "tan_beta": self.tan_beta, "phi": self.phi}
         return fixed[name] if name in fixed else self.truth.get(name, 0.0)
 
-    def indicated(self) -> Array:
-        """Indicated specific force along X0 less the coupling, per segment [g]."""
-        a, y, z = self.forces.T
+    def _felt(self, t: Array) -> Array:
+        """Force at the times from the beginning of a segment [g], (segments, t, 3); (segments, 1, 3) if it is constant."""
+        if not self.swing:
+            return self.forces[:, None]
+        turn = 2.0 * np.pi * t
+        return np.stack([0.7 + 1.5 * np.sin(turn / 50.0), np.cos(turn / 70.0), 0.0 * t], axis=-1)[None]
+
+    def indicated(self, force: Array) -> Array:
+        """Indicated specific force along X0 less the coupling [g], of forces (..., 3) [g]."""
+        a, y, z = np.moveaxis(force, -1, 0)
         return a + sum(value * PRODUCTS[name](a, y, z) for name, value in self.truth.items())
 
     def record(self, rng: np.random.Generator) -> piga.Run:
         """One simulated test."""
-        steps, h = round(self.seconds * self.rate), 1.0 / self.rate
-        count = len(self.forces)
+        steps, h, count = round(self.seconds * self.rate), 1.0 / self.rate, len(self.forces)
+        parts = 10 if self.swing else 1
+        step = h / parts
+        f = self._felt(step * (np.arange(steps * parts) + 0.5))
         omega = np.zeros((count, 3)) if self.turning is None else self.turning
-        a = self.scale_factor * self.indicated() - omega[:, 0]
-        y = self.tan_beta * (self.scale_factor * self.forces[:, 1] - omega[:, 1])
-        z = self.tan_beta * (self.scale_factor * self.forces[:, 2] - omega[:, 2])
-        noise = self.walk * math.sqrt(h) * rng.standard_normal((count, steps))
+        a = self.scale_factor * self.indicated(f) - omega[:, :1]
+        y, z = (self.tan_beta * (self.scale_factor * f[..., k] - omega[:, k : k + 1]) for k in (1, 2))
+        noise = self.walk * math.sqrt(step) * rng.standard_normal((count, steps * parts))
         starts = rng.uniform(-math.pi, math.pi, count)
         if self.drift:
             noise += h * self._wandering(rng)
+        if self.markov or self.flicker:
+            noise += h * self._remembered(rng)
         if self.scatter:
             noise += h * self.scatter * rng.standard_normal((count, 1))
-        psi = constant_steps(a * h, y * h, z * h, starts, noise)
+        psi = constant_steps(a * step, y * step, z * step, starts, noise)[:, ::parts]
         output = psi.ravel() - self.phi
         if self.white:
             output = output + self.white * rng.standard_normal(output.size)
@@ -198,7 +212,7 @@ class ConstantForce:
         return piga.Run.from_arrays(
             t,
             output,
-            np.repeat(self.forces * G0, steps + 1, axis=0),
+            G0 * np.broadcast_to(self._felt(h * np.arange(steps + 1)), (count, steps + 1, 3)).reshape(-1, 3),
             uncertainty={"waived": {"earth_rate": "simulated at rest", "servo": "simulated without"}},
             scale_factor=to_si(f"{self.scale_factor!r} rad/s/g", "rad/s/g"),
             base_rate=base,
@@ -222,6 +236,17 @@ class ConstantForce:
         steps = np.sqrt(np.diff(np.append(t[0], t)))
         walk = self.drift * np.cumsum(steps * rng.standard_normal(t.size))
         return (walk - np.interp(0.0, t, walk)).reshape(self._times().shape)
+
+    def _remembered(self, rng: np.random.Generator) -> Array:
+        """Sum of first-order Markov processes of the rate at ``_times``, sampled every second [rad/s]."""
+        t = self._times()
+        grid = np.arange(t.min(), t.max() + 1.0)
+        total, times = np.zeros(grid.size), 2.0 * 10.0 ** np.arange(0.0, 3.1, 0.5)
+        for time, size in [(60.0, self.markov)] + [(time, self.flicker) for time in times]:
+            kept = np.exp(-1.0 / time)
+            noise = np.sqrt(1.0 - kept**2) * rng.standard_normal(grid.size)
+            total += size * lfilter([1.0], [1.0, -kept], noise, zi=[kept * rng.standard_normal()])[0]
+        return np.interp(t, grid, total)
 
     def calibrate(self, run: piga.Run) -> piga.Calibration:
         """The estimate that is put to the test."""
@@ -275,7 +300,7 @@ class ConstantForce:
         sine, cosine = np.sin(alpha), np.cos(alpha)
         u_y, u_z = self.scale_factor * y - w[1], self.scale_factor * z - w[2]
         known = {
-            "scale_factor": self.indicated()[segment] + self.tan_beta * (y * sine - z * cosine),
+            "scale_factor": self.indicated(self.forces[segment]) + self.tan_beta * (y * sine - z * cosine),
             "tan_beta": u_y * sine - u_z * cosine,
             "phi": self.tan_beta * (u_y * cosine + u_z * sine),
         }

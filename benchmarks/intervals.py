@@ -39,7 +39,9 @@ def plans(repeats: int | None = None) -> tuple[int, list[Plan]]:
     document = tomllib.loads(CASES.read_text(encoding="utf-8"))
     head, cases = document["campaign"], enumerate(document["case"])
     return head["seed"], [
-        Plan(k, case["name"], repeats or case.get("repeats", head["repeats"]), head["bounds"])
+        Plan(
+            k, case["name"], repeats or case.get("repeats", head["repeats"]), case.get("bounds", head["bounds"])
+        )
         for k, case in cases
     ]
 

@@ -210,8 +210,9 @@ def smooth_vibration() -> Values:
     """The same vibration as a formula, 100 s: DOP853 at its best, without kinks."""
 
     def slope(t: float, x: Array) -> list[float]:
-        a, y, z = vibration(np.float64(t))
-        return [K * (a + TAN_BETA * (y * math.sin(x[0]) - z * math.cos(x[0])))]
+        y, z = 5.0 * math.cos(W * t + 0.4), 2.0 * math.sin(W * t + 1.0)
+        pull = y * math.sin(x[0]) - z * math.cos(x[0])
+        return [K * G0 * (0.5 + 0.5 * math.sin(W * t) + TAN_BETA * pull)]
 
     grid = np.linspace(0.0, 100.0, 14_001)
     dv = np.diff(vibration_integral(grid), axis=0)

@@ -17,7 +17,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.compute as pc
@@ -90,16 +89,11 @@ def flat(node: object, path: str, numbers: dict[str, list[float]], u: float = ma
                 flat(value, f"{path}.{key}", numbers, beside)
     elif isinstance(node, list):
         for k, value in enumerate(node):
-            name = (
-                "/".join(str(value[key]) for key in ("id", "name", "segment") if key in value)
-                if isinstance(value, dict)
-                else ""
-            )
-            flat(value, f"{path}[{name or k}]", numbers, u)
-    elif isinstance(node, bool) or node is None or isinstance(node, str):
-        numbers[path] = []
-    elif isinstance(node, int | float):
-        numbers[path] = [float(node), float(u)]
+            keys = [key for key in ("id", "name", "segment") if isinstance(value, dict) and key in value]
+            flat(value, f"{path}[{'/'.join(str(value[key]) for key in keys) or k}]", numbers, u)
+    else:
+        number = isinstance(node, int | float) and not isinstance(node, bool)
+        numbers[path] = [float(node), float(u)] if number else []
 
 
 def columns(path: Path, numbers: dict[str, list[float]]) -> None:
@@ -125,13 +119,9 @@ def run(name: str) -> dict[str, list[float]]:
             for command in line.split("; "):
                 words = command.split() + ([] if command.startswith(WITHOUT_JSON) else ["--json"])
                 done = subprocess.run(
-                    [sys.executable, "-m", "piga", *words],
-                    cwd=folder,
+                    [sys.executable, "-m", "piga", *words], cwd=folder, capture_output=True, text=True, check=False,
                     env=os.environ | {"PYTHONPATH": str(Path(piga.__file__).parents[1])},
-                    capture_output=True,
-                    text=True,
-                    check=False,
-                )
+                )  # fmt: skip
                 if done.returncode:
                     sys.exit(f"{name}: piga {command}: exit {done.returncode}\n{done.stderr}")
                 if done.stdout.lstrip().startswith(("{", "[")):
@@ -145,10 +135,8 @@ def run(name: str) -> dict[str, list[float]]:
 
 def compare(name: str, before: dict[str, list[float]], after: dict[str, list[float]], tolerance: float) -> int:
     """Print what moved in a case; return how many numbers did."""
-    for path in sorted(before.keys() - after.keys()):
-        print(f"{name}: gone {path}")
-    for path in sorted(after.keys() - before.keys()):
-        print(f"{name}: new  {path}")
+    for what, paths in (("gone", before.keys() - after.keys()), ("new ", after.keys() - before.keys())):
+        print(*(f"{name}: {what} {path}\n" for path in sorted(paths)), sep="", end="")
     moved = 0
     for path in before.keys() & after.keys():
         if not before[path] or not after[path]:
@@ -169,11 +157,9 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--only", action="append", help="cases whose name begins so")
     parser.add_argument("--tolerance", type=float, default=1e-12)
-    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
     given = parser.parse_args()
     names = [name for name in CASES if not given.only or name.startswith(tuple(given.only))]
-    with ThreadPoolExecutor(given.workers) as pool:
-        results = dict(zip(names, pool.map(run, names), strict=True))
+    results = {name: run(name) for name in names}
     if given.task == "write":
         given.file.write_text(json.dumps(results, indent=0), "utf-8")
         return

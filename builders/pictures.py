@@ -219,24 +219,17 @@ def coverage() -> None:
     from matplotlib.figure import Figure as Canvas
 
     rows = [
-        (figure["row"], figure["value"] if isinstance(figure["value"], list) else [figure["value"]], colour)
-        for table, column, colour in (
-            ("intervals", "coverage", "#0a5ea8"), ("scatter-rule", "intervals hold", "#b3261e")
-        )
-        for figure in load(table)[1]
-        if figure["column"] == column
-    ]  # fmt: skip
+        (figure["row"], figure["value"]) for figure in load("intervals")[1] if figure["column"] == "coverage"
+    ]
     drawn = Canvas(figsize=(9.0, 0.5 + 0.24 * len(rows)), layout="constrained")
     axes = drawn.subplots()
     axes.axvspan(93.0, 97.0, color="#2e7d32", alpha=0.15, lw=0)
-    for k, (_, shares, colour) in enumerate(rows):
-        axes.plot([shares[0], shares[-1]], [k, k], "o-", color=colour, ms=5)
-    axes.set_yticks(range(len(rows)), [row for row, _, _ in rows])
+    for k, (_, shares) in enumerate(rows):
+        axes.plot(shares, [k] * len(shares), "o-", color="#0a5ea8", ms=5)
+    axes.set_yticks(range(len(rows)), [row for row, _ in rows])
     axes.invert_yaxis()
     axes.grid(axis="x", alpha=0.3)
-    words = (
-        "intervals that hold, worst and best coefficient [%]; green: the goal; blue and red: two simulations"
-    )
+    words = "intervals that hold, worst and best coefficient [%]; green: the goal"
     drawn.supxlabel(words, fontsize=10)
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "piga", "font.size": 10}):
         drawn.savefig(FIGURES / "drawing-scenarios.svg", metadata={"Date": None})

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.scatter_rule import CASES
-from benchmarks.scatter_rule import record as simulated
 
 import piga
 from piga.calibration.residuals import (
@@ -18,6 +16,7 @@ from piga.calibration.residuals import (
 )
 from piga.records.calibration.verdict import COUNTED, SLOW_COUNTS
 from piga.units import G0
+from tests.calibration.made.scenarios import SCENARIOS, tumble
 from tests.calibration.made.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000
@@ -122,5 +121,6 @@ def test_nearly_whole_counts_in_each_sample_are_named() -> None:
 @pytest.mark.parametrize("seed", [1, 4, 7])
 def test_scatter_that_counts_make_is_no_doubt(seed: int) -> None:
     """3600 counts at 10 Hz: in some positions the output turns by nearly whole counts in each sample."""
-    result = piga.calibrate(simulated(CASES["counts 3600"], seed))
+    test = replace(SCENARIOS["coarse"], forces=tumble(24), seconds=60.0)
+    result = test.calibrate(test.record(np.random.default_rng(seed)))
     assert not any("scatter" in doubt.what for doubt in result.verdict.doubts)

@@ -77,11 +77,11 @@ def test_a_column_is_told_on_the_command_line(tmp_path: Path, kind: str) -> None
         ),
         (
             {"Kanal 4": "tilt"},
-            r"'tilt' is not what a column can hold\n  remedy: one of: time, .*force x, .*angle",
+            r"=tilt: this is not what a column can hold\n  remedy: one of: time, .*force x, .*angle",
         ),
-        ({"Kanal 4": "force"}, "'force' is not what a column can hold"),
-        ({"Kanal 4": "angle [s]"}, r"'s' is not a unit of output angle\n  remedy: e.g. Kanal 4=angle \[deg\]"),
-        ({"Kanal 4": "counts [deg]"}, "'deg' is not a unit of output in counts"),
+        ({"Kanal 4": "force"}, "=force: this is not what a column can hold"),
+        ({"Kanal 4": "angle [s]"}, r"=angle \[s\]: this is not what"),
+        ({"Kanal 4": "counts [deg]"}, r"=counts \[deg\]: this is not what"),
     ],
 )
 def test_what_cannot_be_told_is_refused(tmp_path: Path, told: dict[str, str], message: str) -> None:

@@ -32,18 +32,6 @@ def test_a_rate_and_its_integral_are_the_same_noise(record):
     assert of_rate.duration == pytest.approx(1200.0)
 
 
-def test_the_noise_is_that_of_the_definition(record):
-    """Allan variance of neighbouring rates at one step, and N from the deviation at 1 s by hand."""
-    rate, t = record
-    noise = piga.analyse_noise(rate, t)
-    allan, modified, hadamard = noise.deviations
-    first = np.sqrt(0.5 * np.mean(np.diff(rate) ** 2))
-    assert allan.deviation[0] == pytest.approx(first, rel=1e-9)
-    assert modified.deviation[0] == pytest.approx(first, rel=1e-9)
-    assert hadamard.deviation[0] == pytest.approx(np.sqrt(np.mean(np.diff(rate, 2) ** 2) / 6.0), rel=1e-9)
-    assert noise.levels[1].value == pytest.approx(first * np.sqrt(STEP), rel=0.03)
-
-
 def test_a_gap_ends_a_stretch(record):
     """A jump across a gap is in no difference: the levels stay."""
     rate, t = record

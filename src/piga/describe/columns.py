@@ -30,6 +30,8 @@ Kind = Literal[
 ``direct`` is the output of an instrument without a gimbal, in V, mA, Hz, LSB, m/s^2."""
 
 _AXES = {"x": 0, "y": 1, "z": 2}
+_AXIAL = ("force", "base-rate")
+"""Kinds of a component along an axis."""
 _NAMES = tomllib.loads(files("piga.data").joinpath("names.toml").read_text("utf-8"))
 """Names in English, German, French and Chinese."""
 _WORDS: dict[Kind, list[str]] = _NAMES["columns"]
@@ -240,21 +242,25 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
     parts = _TOLD.fullmatch(text.strip())
     name, axis, unit = parts.groups() if parts else (text, None, None)
     kind: Any = names.get(name.strip().lower())
-    if kind is None or (kind in ("force", "base-rate")) != (axis is not None):
-        kinds = ", ".join(f"{one} x" if one in ("force", "base-rate") else one for one in WORDS)
+    said = known_unit(unit or "")
+
+    def fits(one: str) -> bool:
+        return kind == "direct" or (kind in UNITS and measures(one, UNITS[kind][0]))
+
+    if (
+        kind is None
+        or (kind in _AXIAL) != (axis is not None)
+        or (unit is not None and not (said and fits(said)))
+    ):
+        kinds = ", ".join(f"{one} x" if one in _AXIAL else one for one in WORDS)
         raise ArgumentError(
-            f"--column {guess.name}={text}: '{name}' is not what a column can hold",
-            remedy=f"one of: {kinds}; with its unit: angle [deg]",
+            f"--column {guess.name}={text}: this is not what a column can hold",
+            remedy=f"one of: {kinds}; with a unit of this quantity: angle [deg]",
         )
-    fits = kind == "direct" or (kind in UNITS and measures(known_unit(unit or ""), UNITS[kind][0]))
-    if unit is not None and not (fits and known_unit(unit)):
-        raise ArgumentError(
-            f"--column {guess.name}={text}: '{unit}' is not a unit of {WORDS[kind]}",
-            remedy=f"e.g. {guess.name}={name} [{UNITS[kind][0]}]" if kind in UNITS else "leave it out",
-        )
-    kept = guess.unit if kind == "direct" or (kind in UNITS and measures(guess.unit, UNITS[kind][0])) else ""
     place = None if axis is None else _AXES[axis]
-    return replace(guess, kind=kind, axis=place, unit=known_unit(unit or "") or kept, reason=TOLD)
+    return replace(
+        guess, kind=kind, axis=place, unit=said or (guess.unit if fits(guess.unit) else ""), reason=TOLD
+    )
 
 
 def guess_columns(
