@@ -277,5 +277,5 @@ def test_locked_start_is_named(kind):
         assert len(compensated.notes) == 1 + size  # that of Type A is always there
         if size:
             first = 2 if kind == "angle" else 1
-            assert f"rows {first} to 100:" in compensated.notes[1]
+            assert f"in {101 - first} rows, the first at t = {t[first - 1]:.9g} s" in compensated.notes[1]
             assert compensated.flagged("locked")[first - 1 : 100].all()

@@ -202,11 +202,6 @@ def packed(rows: int) -> io.BytesIO:
     return sent(pa.table({name: np.zeros(rows) for name in NAMES}), None, "zstd")
 
 
-def test_a_batch_of_too_many_rows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("piga.compensation.live.MOST_ROWS", 1999)
-    refused(packed(2000), r"a batch of 2000 rows, more than 1999")
-
-
 def test_arrow_columns_that_hold_no_numbers() -> None:
     columns = {name: pa.array([1.0]) for name in NAMES}
     for column in (pa.array(["0_14"]), pa.array([[1.0]]), pa.array([True])):

@@ -85,32 +85,27 @@ def test_flags_of_all_rows_that_overlap():
         assert np.isnan(np.concatenate([part["ax"] for part in parts])).tolist() == [True, False, False, False]
 
 
+def rows_of(t: np.ndarray, dv: np.ndarray) -> Compensated:
+    return Compensated(t, dv, dv, np.zeros(0), np.zeros(0, np.int32))
+
+
 @pytest.mark.parametrize("period", [0.05, 0.013, 0.003])
 def test_resampling_loses_no_velocity(period):
-    rng = np.random.default_rng(3)
-    t = 0.01 * np.arange(500)
-    dv = rng.standard_normal(500)
+    """What is not given out is the velocity behind the last new time, in proportion to its interval."""
+    t, dv = 0.01 * np.arange(500), np.random.default_rng(3).standard_normal(500)
     stream = Resampler(period)
-    parts = [stream.push(t[i : i + 7], dv[i : i + 7]) for i in range(0, 500, 7)]
-    total = math.fsum(np.concatenate([p[1] for p in parts])) + stream.waiting[0]
-    assert abs(total - math.fsum(dv)) < 500 * np.finfo(float).eps
-    assert np.allclose(np.diff(np.concatenate([p[0] for p in parts])), period)
+    parts = [stream.push_rows(rows_of(t, dv).rows(slice(i, i + 7))) for i in range(0, 500, 7)]
+    new = np.concatenate([part["t"] for part in parts])
+    behind = np.clip((t - new[-1]) / 0.01, 0.0, 1.0) @ dv
+    assert abs(math.fsum(np.concatenate([part["dv"] for part in parts])) + behind - math.fsum(dv)) < 1e-11
+    assert np.allclose(np.diff(new), period)
 
 
-def test_time_that_jumps_back_is_refused():
+def test_what_cannot_be_resampled_is_refused():
     with pytest.raises(piga.ArgumentError, match=r"t\[2\]: 0.5 s is not after"):
-        Resampler(0.1).push([0.0, 1.0, 0.5], [0.0, 1.0, 1.0])
-
-
-T = 0.01 * np.arange(60)
-
-
-def test_periods_that_are_none() -> None:
+        Resampler(0.1).push_rows(rows_of(np.array([0.0, 1.0, 0.5]), np.zeros(3)))
     for period in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(piga.ArgumentError, match=r"period: .* is not positive"):
             Resampler(period)
-    new = Resampler(0.03)
-    assert new.waiting.size == 0
-    _, given = new.push(T[:8], np.ones(8))
+    given = Resampler(0.03).push_rows(rows_of(0.01 * np.arange(8), np.ones(8)))["dv"]
     np.testing.assert_allclose(given, [4.0, 3.0])  # the first sample's goes out with the three behind it
-    np.testing.assert_allclose(new.waiting, [1.0])

@@ -24,7 +24,7 @@ from piga.compensation.model import (
     phases,
     velocity_variance,
 )
-from piga.compensation.result import Compensated, LockedStarts, note_on_vibration, notes_on
+from piga.compensation.result import Compensated, notes_on, notes_on_samples
 from piga.errors import ArgumentError, CalibrationError
 from piga.progress import Progress, report
 from piga.records.arrays import empty, spans
@@ -133,7 +133,6 @@ class Compensator:
         self._uncertainty, self._flags = uncertainty, flags
         self._typical, self._limits = np.nan if step is None else step, limits
         self._age = age_flag(calibration, max_age_days)
-        self._starts = LockedStarts()
         self._models: dict[str | None, tuple[Model, Array]] = {}
         self.take_segment(segment)
         self._state = init_state() if state is None else state.copy()
@@ -147,7 +146,7 @@ class Compensator:
 
     def remarks(self) -> tuple[str, ...]:
         """What the samples so far showed: starts at which the output stands still, vibration near the Nyquist frequency."""
-        return self._starts.note() + note_on_vibration(self._state, self._kind == "rate", self._calibration)
+        return notes_on_samples(self._state, self._kind == "rate", self._calibration)
 
     def u_velocity(self) -> float:
         """Standard uncertainty of the sum of all ``dv`` so far [m/s]; nan without uncertainty (docs/theory/compensation)."""
@@ -226,10 +225,9 @@ class Compensator:
         run_kernel(self._model, self._state, samples, rows)
         if not math.isfinite(rows.dv.sum()):
             self._state = before
-            _check_finite(columns)
+            check_finite(columns)
             raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
         self._sums[:] = rows.sums
-        self._starts.add(rows.flags)
 
     def _columns_of(self, run: Run) -> dict[str, Any]:
         """Columns of a record. It has its own stretches; only its first sample is checked against the stream."""
@@ -265,22 +263,23 @@ def _checked(chunk: Mapping[str, Any]) -> dict[str, Any]:
                 f"chunk['{name}']: shape {columns[name].shape} instead of {shape}",
                 remedy=f"one {'row' if row else 'value'} per time",
             )
-    _check_finite(columns)
+    check_finite(columns)
     begins = chunk.get("begins")
     return (
         columns if begins is None else columns | {"begins": np.atleast_1d(np.asarray(begins, dtype=np.bool_))}
     )
 
 
-def _check_finite(columns: Mapping[str, Any]) -> None:
+def check_finite(columns: Mapping[str, Any]) -> None:
     """Refuse a sample that is not finite or so large that the result would not be finite; the message names it."""
     for name, values in columns.items():
-        shown = values[:, 1:] if name == "f" else values  # the force along X0 is not used
-        fits = np.abs(shown) <= LARGEST_SAMPLE
+        fits = np.abs(values) <= LARGEST_SAMPLE
+        if name == "f":
+            fits[:, 0] = True  # the force along X0 is not used
         if not fits.all():
-            index = int(np.argwhere(~fits)[0][0])
-            what = "too large" if np.isfinite(shown[index]).all() else "not finite"
-            raise ArgumentError(f"chunk['{name}'][{index}] is {what}", remedy="leave such samples out")
+            at = [int(i) for i in np.argwhere(~fits)[0]]
+            what = "too large" if math.isfinite(values[tuple(at)]) else "not finite"
+            raise ArgumentError(f"{name}{at} is {what}", remedy="leave such samples out; in a set, of all instruments")
 
 
 def compensate(
@@ -374,13 +373,7 @@ def _pieces_of(record: Run, stream: Compensator) -> Iterator[slice]:
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
-    """Refuse the coefficients of another instrument, unless ``force``, or of another output.
-
-    Raises
-    ------
-    CalibrationError
-        Naming both.
-    """
+    """Refuse the coefficients of another instrument, unless ``force``, or of another output."""
     if record.unit != calibration.unit:
         raise CalibrationError(
             f"the output of the record is in {record.unit}, that of the calibration in {calibration.unit}",
@@ -397,11 +390,6 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
     """Refuse a shared phase for a record that lost the zero of its output angle.
 
     A record of a set (``alone`` False) must always have one phase.
-
-    Raises
-    ------
-    CalibrationError
-        Names the first segment for which the phase is not valid.
     """
     shared = not alone or phase is not None or None in phases(calibration)
     if not shared or not needs_phase(calibration) or len(set(record.phase_group)) < 2:

@@ -96,13 +96,7 @@ def compensate_set(
 
 
 def _check_together(records: Sequence[Run]) -> None:
-    """Refuse records that were not sampled at the same times.
-
-    Raises
-    ------
-    DataError
-        If the records differ in their times or in the kind of output.
-    """
+    """Refuse records that were not sampled at the same times."""
     if not records:
         raise DataError("a set without a record", remedy="give the records of three or more instruments")
     first = records[0]
@@ -165,13 +159,6 @@ def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[
     """Run files and mounted instruments of a triad file; file names are relative to it.
 
     The last result lists the triad file and the calibrations, each with its name and the SHA-256 of what was read.
-
-    Raises
-    ------
-    RunFileError
-        If the file is not valid.
-    CalibrationError
-        If a calibration it names cannot be read.
     """
     path = Path(path)
     raw = toml_bytes(path)
@@ -208,13 +195,7 @@ READINGS = 1 << 15
 
 
 def read_member(path: Path, item: Mounted, force: bool) -> Run:
-    """The record of an instrument, without the columns that a set does not need.
-
-    Raises
-    ------
-    DataError, CalibrationError
-        As :func:`piga.read_run` and :func:`compensate_set`.
-    """
+    """The record of an instrument, without the columns that a set does not need."""
     record = read_run(path, need_reference=False)
     check_serial(record, item.calibration, force)
     check_phase_kept(record, item.calibration, item.phase, alone=False)

@@ -27,8 +27,6 @@ MAX_LINE = 1 << 16
 """Longest line [characters]; a row of eleven numbers has about 250."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 KNOWN = (*NEEDED, *RATE, "temperature", "angle", "vibration")
-MOST_ROWS = 1 << 22
-"""Most rows of a record batch."""
 
 
 def _chunk_of(columns: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,32 +53,19 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     DataError
         Gives the number of the line that is wrong, too long, or cut off.
     """
-    rows = 0
-    for _, result in _answered_lines(source, stream):
-        columns = result.columns()
+    header = [name.strip() for name in _line(source, 1).split(",")]
+    _check_names(header)
+    rows, number = 0, 1
+    while line := _line(source, number := number + 1):
+        if not line.strip():
+            continue
+        columns = _pushed(stream, _row(line, header, number), f"line {number}").columns()
         if rows == 0:
             sink.write(",".join(columns) + "\n")
         sink.write(",".join(repr(column[0].item()) for column in columns.values()) + "\n")
         sink.flush()
         rows += 1
     return rows
-
-
-def _answered_lines(source: IO[str], stream: Compensator) -> Iterator[tuple[dict[str, float], Compensated]]:
-    """Each row of a stream of comma-separated lines, with its compensated values, as soon as it arrives.
-
-    Raises
-    ------
-    DataError
-        Gives the number of the line that is wrong, too long, or cut off.
-    """
-    header = [name.strip() for name in _line(source, 1).split(",")]
-    _check_names(header)
-    number = 1
-    while line := _line(source, number := number + 1):
-        if line.strip():
-            row = _row(line, header, number)
-            yield row, _pushed(stream, row, f"line {number}")
 
 
 def _line(source: IO[str], number: int) -> str:
@@ -161,11 +146,6 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
         while (message := _message(reader)) is not None:
             batch = pa.ipc.read_record_batch(message, schema)
             batch.validate(full=True)
-            if batch.num_rows > MOST_ROWS:
-                raise DataError(
-                    f"standard input: a batch of {batch.num_rows} rows, more than {MOST_ROWS}",
-                    remedy="send smaller batches",
-                )
             yield batch
     except (pa.ArrowException, OSError, EOFError, ValueError, MemoryError) as error:
         raise DataError(

@@ -135,11 +135,6 @@ def make_model(
     """Take the coefficients of one segment (or the shared ones) from a calibration.
 
     ``typical`` [s]: the time that a rate sample stands for at the start of a stretch.
-
-    Raises
-    ------
-    CalibrationError
-        If the phase is needed but missing; names the segment.
     """
     used = _used_coefficients(calibration, segment, phase)
     values = {c.name: c.value * si_factor(c.name) for c in used}
@@ -291,13 +286,7 @@ def _covariance_factor(
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:
-    """The requested method, or the one that matches the calibration's ``phase_source``.
-
-    Raises
-    ------
-    CalibrationError
-        For an unknown name.
-    """
+    """The requested method, or the one that matches the calibration's ``phase_source``."""
     if method is None:
         return "published" if calibration.phase_source == "input" else "exact"
     if method not in _COMPENSATION_METHODS:

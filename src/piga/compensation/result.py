@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
@@ -53,13 +53,7 @@ def _unit_of_column(name: str) -> str:
 
 
 def format_of(path: Path) -> str:
-    """``parquet`` or ``csv``, by the suffix.
-
-    Raises
-    ------
-    ArgumentError
-        For any other suffix.
-    """
+    """``parquet`` or ``csv``, by the suffix."""
     file_format = _FORMATS.get(path.suffix.lower())
     if file_format is None:
         raise ArgumentError(
@@ -227,7 +221,7 @@ class Compensated(_Rows, Reported):
     serial, method:
         Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
-        Notes that every display of ``u_ax`` must show, from :func:`notes_on` and :func:`note_on_vibration`; files contain
+        Notes that every display of ``u_ax`` must show, from :func:`notes_on` and :func:`notes_on_samples`; files contain
         them too.
     u_velocity:
         Standard uncertainty of the sum of ``dv`` [m/s]; nan for a part of a stream, and without uncertainty. That of a single
@@ -298,12 +292,22 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
     return (TYPE_A_ONLY if len(calibrations) == 1 else f"{', '.join(alone)}: {TYPE_A_ONLY}",)
 
 
-def note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> tuple[str, ...]:
-    """A sentence on vibration near the Nyquist frequency, for the instrument on which it acts most; none without one.
+def notes_on_samples(past: Any, sampled: bool, *calibrations: Calibration) -> tuple[str, ...]:
+    """Sentences on starts at which an output stands still, and on vibration near the Nyquist frequency.
 
-    ``past``: the records :class:`piga._kernels.compensation.data.Past` of the instruments. ``sampled``: the force is a value at
-    the samples, not the mean over intervals.
+    ``past``: the records :class:`piga._kernels.compensation.data.Past` of the instruments; a sentence is on the one that it
+    concerns most. ``sampled``: the force is a value at the samples, not the mean over intervals.
     """
+    notes, most = _note_on_vibration(past, sampled, *calibrations), int(np.argmax(past["stood"]))
+    if past["stood"][most] == 0.0:
+        return notes
+    rows, first = int(past["stood"][most]), past["stood_from"][most]
+    where = f"in {rows} rows, the first at t = {first:.9g} s (flag locked)"
+    words = f"the output stands still from the start of a stretch on {where}: a_x is known only to a_t tan(beta) there"
+    return (f"{words}; leave these rows out, or begin where |a_x| is larger", *notes)
+
+
+def _note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> tuple[str, ...]:
     time, square, velocity = past["shaken"], past["shaken_square"], past["rectified"]
     worst = int(np.argmax(np.where(velocity.any(), velocity, square)))
     if time[worst] == 0.0:
@@ -318,47 +322,6 @@ def note_on_vibration(past: Any, sampled: bool, *calibrations: Calibration) -> t
     seen = f"vibration of {math.sqrt(variance):.2g} g rms near the Nyquist frequency for {time[worst]:.3g} s"
     remedy = "sample faster, or state the rectification as [uncertainty] vibration of the calibration"
     return (f"{named}{seen} (flag vibration): {effect}; {remedy}",)
-
-
-_SHOWN_STARTS = 5
-"""Most stretches whose rows are named in a sentence."""
-
-
-class LockedStarts:
-    """Rows in which the output stands still from the start of a stretch on; rows come chunk by chunk."""
-
-    def __init__(self) -> None:
-        self._size, self._open = 0, False
-        self._rows: list[tuple[int, int]] = []
-
-    def add(self, flags: NDArray[np.int32]) -> None:
-        """Add the flags of the next rows."""
-        locked = (flags & FLAGS["locked"]) != 0
-        if flags.size and not locked.any():
-            self._size, self._open = self._size + flags.size, bool(flags[-1] & FLAGS["no_increment"])
-            return
-        begins = (flags & FLAGS["no_increment"]) != 0
-        row = np.arange(1, flags.size + 1)
-        begun = np.maximum.accumulate(np.where(begins, row, 0 if self._open else -2))
-        ended = np.maximum.accumulate(np.where(begins | locked, -1, row))
-        still = begun > ended
-        edges = np.flatnonzero(np.diff(still & locked, prepend=False, append=False)) + self._size
-        for first, last in edges.reshape(-1, 2).tolist():
-            joined = bool(self._rows) and self._rows[-1][1] == first
-            self._rows.append((self._rows.pop()[0] if joined else first + 1, last))
-        self._size, self._open = self._size + flags.size, bool(still[-1]) if flags.size else self._open
-
-    def note(self) -> tuple[str, ...]:
-        """A sentence that names the rows; none without one."""
-        if not self._rows:
-            return ()
-        named = ", ".join(f"{first} to {last}" for first, last in self._rows[:_SHOWN_STARTS])
-        more = (
-            f" and {len(self._rows) - _SHOWN_STARTS} more stretches" if len(self._rows) > _SHOWN_STARTS else ""
-        )
-        where = f"the output stands still from the start of a stretch on (flag locked) in rows {named}{more}"
-        remedy = "leave these rows out, or begin where |a_x| is larger"
-        return (f"{where}: a_x is known only to a_t tan(beta) there; {remedy}",)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -438,79 +401,52 @@ class Resampler:
         self._period = period
         self._rows, self._flags = 0, 0
         self._time: Array = np.zeros(0)
-        self._velocity: Array = np.zeros(0)
-        self._given: Array = np.zeros(0)
+        self._velocity = self._given = np.zeros((0, 1))
         self._start = 0.0
 
-    @property
-    def waiting(self) -> Array:
-        """Velocity received but not yet given out [m/s], per component."""
-        return np.asarray(self._velocity - self._given)
+    def push_rows(self, part: Compensated | CompensatedSet) -> dict[str, NDArray]:
+        """Columns of the next compensated rows at the new rate.
 
-    def push(self, t: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
-        """Add increments ``dv`` (n,) or (n, 3) [m/s] since the previous sample, at the times ``t`` (n,) [s].
-
-        The first sample only sets the start. Its increment is added to the first new row.
-
-        Returns
-        -------
-        t, dv:
-            New times, and the increments since the previous new time.
+        The force (``ax``, or ``fx``, ``fy``, ``fz``) is the mean over the new interval. It is nan where no increment was formed.
+        A row has the flags of all rows that it overlaps. There is no uncertainty, because the noise of neighbouring rows is
+        correlated. The first row only sets the start; its increment is added to the first new row.
 
         Raises
         ------
         ArgumentError
             If the times do not increase.
         """
-        times, rows, _ = self._push(np.atleast_1d(np.asarray(t, dtype=float)), dv, np.zeros(0, np.int32))
-        return times, rows
-
-    def push_rows(self, part: Compensated | CompensatedSet) -> dict[str, NDArray]:
-        """Columns of compensated rows at the new rate.
-
-        The force (``ax``, or ``fx``, ``fy``, ``fz``) is the mean over the new interval. It is nan where no increment was formed.
-        A row has the flags of all rows that it overlaps. There is no uncertainty, because the noise of neighbouring rows is
-        correlated.
-        """
-        times, dv, flags = self._push(part.t, part.dv, part.flags)
-        none = (flags & FLAGS["no_increment"]) != 0
-        mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
-        return _columns_of(times, mean, dv, flags)
-
-    def _push(
-        self, t: Array, dv: ArrayLike, flags: NDArray[np.int32]
-    ) -> tuple[Array, Array, NDArray[np.int32]]:
-        added = np.asarray(dv, dtype=float).reshape(t.size, -1)
-        marks = flags if flags.size == t.size else np.zeros(t.size, np.int32)
-        steps = np.diff(t, prepend=self._time if self._time.size else -np.inf)
-        if not (steps > 0.0).all():
-            row = int(np.argmin(steps > 0.0))
+        t, added = part.t, part.dv.reshape(part.size, -1)
+        marks = part.flags if part.flags.size == t.size else np.zeros(t.size, np.int32)
+        late = np.flatnonzero(np.diff(t, prepend=self._time if self._time.size else -np.inf) <= 0.0)
+        if late.size:
             raise ArgumentError(
-                f"t[{row}]: {t[row]:.9g} s is not after the time before",
+                f"t[{late[0]}]: {t[late[0]]:.9g} s is not after the time before",
                 remedy="resample the parts between jumps of the clock separately",
             )
         if self._time.size == 0 and t.size:
             self._time, self._start = t[:1], float(t[0])
-            self._velocity, self._given = added[0], np.zeros(added.shape[1])
+            self._velocity, self._given = added[:1], np.zeros((1, added.shape[1]))
             t, added, marks = t[1:], added[1:], marks[1:]
         clock = np.append(self._time, t)
-        velocity = np.cumsum(np.vstack((self._velocity.reshape(1, -1), added)), axis=0)
+        velocity = np.cumsum(np.vstack((self._velocity.reshape(-1, added.shape[1]), added)), axis=0)
         limits = t * (1.0 + 1e-15)
         ahead = math.ceil((clock[-1] - self._start) / self._period) + 1 if clock.size else 0
         times = self._start + np.arange(self._rows + 1.0, ahead + 1.0) * self._period
         times = times[times <= limits[-1]] if t.size else times[:0]
-        within = np.searchsorted(limits, times)  # the interval in which each new time lies
-        share = (times - clock[within]) / np.diff(clock)[within]
-        inside = (times < t[within])[:, None]
-        reached = np.where(inside, velocity[within] + added[within] * share[:, None], velocity[within + 1])
-        rows = np.diff(np.vstack((self._given, reached)), axis=0) if times.size else reached
+        reached = np.column_stack([np.interp(times, clock, one) for one in velocity.T])
+        dv = np.diff(np.vstack((self._given, reached)), axis=0) if times.size else reached
+        last = np.searchsorted(limits, times)  # the interval in which each new time lies
         first = np.append(
-            0, within + ~inside[:, 0]
-        )  # of the rows that overlap each new one, and the unfinished one
-        edges = np.column_stack((first, np.append(within, t.size - 1) + 1)).ravel()
+            0, last + (times >= t[last])
+        )  # of those that overlap each new row, and the unfinished one
+        edges = np.column_stack((first, np.append(last, t.size - 1) + 1)).ravel()
         seen = np.bitwise_or.reduceat(np.append(marks, (0, 0)), edges)[::2]
         seen = np.where(first < edges[1::2], seen, 0)
         seen[0] |= self._flags
-        self._rows, self._time, self._velocity = self._rows + times.size, clock[-1:], velocity[-1]
-        self._given, self._flags = (reached[-1] if times.size else self._given), int(seen[-1])
-        return times, rows.reshape(times.size, *np.shape(dv)[1:]), seen[:-1].astype(np.int32)
+        self._rows, self._time, self._velocity = self._rows + times.size, clock[-1:], velocity[-1:]
+        self._given, self._flags = (reached[-1:] if times.size else self._given), int(seen[-1])
+        flags, dv = seen[:-1].astype(np.int32), dv.reshape(times.size, *part.dv.shape[1:])
+        none = (flags & FLAGS["no_increment"]) != 0
+        mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
+        return _columns_of(times, mean, dv, flags)

@@ -15,9 +15,9 @@ from piga._kernels.compensation import data as at
 from piga._kernels.compensation.set import Instruments, SetPast, SetRows, SetSamples, empty_solution
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
-from piga.compensation.compensator import find_begins
+from piga.compensation.compensator import check_finite, find_begins
 from piga.compensation.model import Limits, Model, Phase, age_flag, make_model, velocity_variance
-from piga.compensation.result import CompensatedSet, LockedStarts, note_on_vibration, notes_on
+from piga.compensation.result import CompensatedSet, notes_on, notes_on_samples
 from piga.errors import ArgumentError
 from piga.records.arrays import empty
 from piga.records.calibration.calibration import Calibration
@@ -52,13 +52,7 @@ class Mounted(Result):
 
 
 def rotation(axes: ArrayLike, index: int) -> Array:
-    """Nearest exact rotation to the axes matrix of an instrument.
-
-    Raises
-    ------
-    ArgumentError
-        If the axes are not right-handed orthogonal unit vectors.
-    """
+    """Nearest exact rotation to the axes matrix of an instrument."""
     matrix = np.asarray(axes, dtype=float)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise ArgumentError(
@@ -148,12 +142,11 @@ class SetCompensator:
         self._threshold = _fault_threshold(self._count - 3)
         self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
         self._solution = empty_solution(self._count)
-        self._starts = LockedStarts()
         self._sums = np.zeros((self._count, 3, SUMS))
 
     def remarks(self) -> tuple[str, ...]:
         """What the samples so far showed: starts at which an output stands still, vibration near the Nyquist frequency."""
-        return self._starts.note() + note_on_vibration(self._past.past, self._sampled, *self._calibrations)
+        return notes_on_samples(self._past.past, self._sampled, *self._calibrations)
 
     def u_velocity(self) -> Array:
         """Standard uncertainty of the sum of all ``dv`` so far [m/s], (3,); empty without uncertainty."""
@@ -233,9 +226,8 @@ class SetCompensator:
         last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
             self._past = before
-            _check_finite(output=psi, rate=rates, base_rate=omega, temperature=warm)
+            check_finite({"output": psi, "rate": rates, "base_rate": omega, "temperature": warm})
         self._sums = sums
-        self._starts.add(result.flags)
         return result
 
 
@@ -257,15 +249,6 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
             f"{name}: shape {np.shape(values)} instead of {shape}", remedy="one row per instrument"
         )
     return array
-
-
-def _check_finite(**columns: Array) -> None:
-    for name, array in columns.items():
-        if not np.isfinite(array).all():
-            where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
-            raise ArgumentError(
-                f"{name}{where} is not finite", remedy="leave such samples out for all instruments"
-            )
 
 
 def stacked(models: Sequence[Model], axes: Array) -> Instruments:

@@ -119,6 +119,9 @@ class Past(Protocol):
     shaken: float  # time with such a vibration [s]
     shaken_square: float  # its variance times time [m^2/s^3]
     rectified: float  # its possible velocity [m/s]
+    still: float  # 1 while the output has stood still since the start of its stretch
+    stood: float  # number of such rows
+    stood_from: float  # time of the first one [s]
 
 
 class Row(Protocol):

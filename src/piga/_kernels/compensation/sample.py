@@ -38,6 +38,7 @@ from piga._kernels.compensation.data import Covariance, Instrument, Past, Row, S
 from piga._kernels.compensation.terms import (
     STRETCHES,
     add_to_velocity,
+    count_standing,
     dead_zone,
     flags_of,
     harmonics,
@@ -397,6 +398,8 @@ def _compensate_sample(
         past.start = now.psi if p.published != 0.0 and kind == ANGLE else 0.0
     elif past.phi != p.phi:
         past.rest += p.phi - past.phi  # a new segment of the same stretch has its own zero
+    if h == 0.0:
+        past.still = 1.0
     before, psi, bend = past.a_x, now.psi, 0.0
     if kind != ANGLE:
         indicated, psi = _indicate_sample(p, past, now, h, kind == _BOTH, x)
@@ -420,6 +423,7 @@ def _compensate_sample(
         u = uncertainty(p, more, x, derivative, dead, work)
         add_to_velocity(sums, more.codes.size, work, x, derivative, dead)
     flags = flags_of(p, x, warm)
+    count_standing(past, now.t, flags)
     keep_sample(past, now, psi, p.phi, a)
     if kind == ANGLE:
         return a, a * h + 0.0, u, flags  # never a negative zero

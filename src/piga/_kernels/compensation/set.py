@@ -35,6 +35,7 @@ from piga._kernels.compensation.sample import (
 from piga._kernels.compensation.terms import (
     TWELFTH,
     add_to_velocity,
+    count_standing,
     dead_zone,
     error_without_powers,
     flags_of,
@@ -333,7 +334,7 @@ def compensate_set(
         if solved and wanted and h == 0.0 and math.isnan(of.each[0].typical):
             rows.u[j, :] = math.nan
         if rows.flags.size:
-            _flag_row(j, h, solved, base_flag, threshold, warm, of, solution, rows)
+            _flag_row(j, h, samples.t[j], solved, base_flag, threshold, warm, of, last.past, solution, rows)
         for i in range(count):
             past = last.past[i]
             kept = solution.rows[i].doubt if h != 0.0 and past.h1 != 0.0 else 0.0
@@ -384,14 +385,18 @@ def _write_row(
 
 @lean
 def _flag_row(
-    j: int, h: float, solved: bool, base_flag: int, threshold: float, warm: bool, of: Instruments, solution: Solution,
-    rows: SetRows,
+    j: int, h: float, t: float, solved: bool, base_flag: int, threshold: float, warm: bool, of: Instruments, pasts: Any,
+    solution: Solution, rows: SetRows,
 ) -> None:  # fmt: skip
     """Flags of the row: those of each instrument at the force found, a fault, and rows without an increment."""
     none, together = at.NO_INCREMENT if h == 0.0 else 0, 0
     for i in range(of.each.size):
         x = solution.rows[i]
+        if h == 0.0:
+            pasts[i].still = 1.0
         flag = base_flag | flags_of(of.each[i], x, warm) if solved else 0
+        if solved:
+            count_standing(pasts[i], t, flag)
         together |= flag
         if rows.each.shape[1]:
             rows.misfits[i, j] = x.misfit if solved else math.nan

@@ -211,6 +211,17 @@ def flags_of(p: Instrument, x: Row, warm: bool) -> int:
     return flag
 
 
+@inline
+def count_standing(past: Past, t: float, flag: int) -> None:
+    """Count the rows in which the output stands still from the start of a stretch on."""
+    if flag & at.LOCKED == 0:
+        past.still = 0.0
+    elif past.still != 0.0:
+        past.stood += 1.0
+        if past.stood == 1.0:
+            past.stood_from = t
+
+
 _SHARE = 1.0 / 32.0
 """Share of a row in the running mean squares."""
 FAST = 1.0
