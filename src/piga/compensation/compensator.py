@@ -279,7 +279,9 @@ def check_finite(columns: Mapping[str, Any]) -> None:
         if not fits.all():
             at = [int(i) for i in np.argwhere(~fits)[0]]
             what = "too large" if math.isfinite(values[tuple(at)]) else "not finite"
-            raise ArgumentError(f"{name}{at} is {what}", remedy="leave such samples out; in a set, of all instruments")
+            raise ArgumentError(
+                f"{name}{at} is {what}", remedy="leave such samples out; in a set, of all instruments"
+            )
 
 
 def compensate(
