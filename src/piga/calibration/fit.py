@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piga.calibration.intervals import Repetition
 from piga.calibration.merged import MergedRuns, RunTriangles, Wish
 from piga.calibration.model.design import Design, ServoState
-from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Estimate
 from piga.calibration.outliers import (
@@ -31,13 +28,12 @@ from piga.calibration.weights import (
     Positions,
     find_noise,
     find_scatter,
-    reduce_between,
     reduce_positions,
     residual_increments,
     starting_noise,
     weighting_mode,
 )
-from piga.errors import CalibrationError, IdentifiabilityError
+from piga.errors import CalibrationError
 from piga.records.calibration.diagnostics import Outlier
 from piga.records.run import Run
 from piga.results import Array
@@ -185,54 +181,3 @@ def _scale_factor(fit: Fit) -> float:
     if ("scale_factor", None) not in keys:
         return fit.design.run.scale_factor
     return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
-
-
-POINTS = 400
-"""Points of the history; a tenth of it when every segment has its own phase."""
-
-
-def history_of(fit: Fit) -> dict[str, Array]:
-    """Estimate and standard uncertainty after the first samples, up to the whole record (file units)."""
-    rows, samples = [], []
-    keys: tuple[str, ...] = ()
-    for mark, triangles in _growing(fit):
-        runs = MergedRuns.of(fit.runs.wish, [triangles])
-        try:
-            _, _, estimate = runs.solved()
-        except IdentifiabilityError:
-            continue
-        named, covariance = runs.named(estimate, estimate.covariance)
-        plain = [i for i, c in enumerate(named) if c.name != "phi" or not fit.design.has_phases]
-        keys = tuple(named[i].name for i in plain)
-        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        rows.append([*(named[i].value for i in plain), *std[plain]])
-        samples.append(mark)
-    table = np.array(rows)
-    result = {"sample": np.array(samples, dtype=float)}
-    for i, key in enumerate(keys):
-        result[key] = table[:, i]
-        result[f"u({key})"] = table[:, len(keys) + i]
-    return result
-
-
-def _growing(fit: Fit) -> Iterator[tuple[int, RunTriangles]]:
-    """Number of samples, and the triangles of the segments begun; the last item is that of the whole record."""
-    design, run = fit.design.with_servo(None), fit.design.run
-    points = POINTS if not design.has_phases else POINTS // 10
-    marks = np.unique(np.linspace(min(run.size, 2 * len(design.names)), run.size, points).astype(np.int64))
-    edges = np.union1d(run.segment_edges(), marks)
-    variances = fit.noise.rate_variances(len(run.labels)).tolist()
-    parts: list[Reduction] = []
-    pieces = reduce_between(design, fit.mode, fit.noise, edges)[0]
-    for piece, start, stop in zip(pieces, edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        if run.segment_index[start] < len(parts):
-            parts[-1].merge(piece)
-        else:
-            parts.append(piece)
-        if stop in marks:
-            columns = zip(parts, design.groups, variances, run.labels, strict=False)
-            begun = tuple(
-                Repetition(part, group, variance, name, 0.0, 0.0) for part, group, variance, name in columns
-            )
-            labels = fit.triangles.labels[: len(parts)]
-            yield stop, replace(fit.triangles, labels=labels, positions=begun)

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from piga.calibration.fit import history_of
 from piga.calibration.joint import JointFit, sources_of_stand
 from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
 from piga.calibration.model_choice import compare_models
@@ -142,7 +141,6 @@ def _of_one_run(
         segment_scatter=live.fit.noise.segment_scatter,
         remarks=(*one_way_in_words(run, request.terms), *result.remarks),
         diagnostics=replace(result.diagnostics, model_comparison=compared),
-        history=history_of(live.fit) if request.method == "recursive" else None,
     )
     return _with_remarks(result, fit, live, candidates, doubts)
 

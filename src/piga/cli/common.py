@@ -367,7 +367,7 @@ def argument(value: str, words: str, **more: Any) -> Any:
 RunFileArgument = Annotated[Path, argument("RUN.toml", "Run file of the recorded test.")]
 JsonOption = Annotated[bool, flag("--json", "Print one JSON document and nothing else.")]
 TermsOption = Annotated[str | None, option("A,B,...", "Terms to estimate, instead of the run file's.")]
-MethodOption = Annotated[str | None, option("NAME", "Estimator: information | rate | recursive | revolutions.")]
+MethodOption = Annotated[str | None, option("NAME", "Estimator: information | rate | revolutions.")]
 PhasesOption = Annotated[
     str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
 ]

@@ -139,16 +139,12 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
         "least squares of rates, differences of the angle",
         "for records that hold rates, and to see what differencing loses",
     ),
-    "recursive": (
-        "the information method, sample by sample, with the estimate after each one",
-        "to see how the coefficients settle; the result is that of the information method",
-    ),
     "revolutions": (
         "mean rates over whole turns of the outer gimbal, as laboratories do it by hand",
         "to compare with older records; needs whole turns in each position",
     ),
 }
-"""What each method is, and when to use it."""
+"""What each method is, and when to use it. ``recursive`` of former files is the information method."""
 
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

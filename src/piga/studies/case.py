@@ -14,8 +14,10 @@ import numpy as np
 
 from piga._kernels.jit import kernel
 from piga.calibration.calibrate import calibrate
+from piga.calibration.fit import fit_run
+from piga.calibration.model.request import make_request
 from piga.compensation import compensate
-from piga.errors import CalibrationError
+from piga.errors import ArgumentError, CalibrationError, DataError, IdentifiabilityError
 from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import TomlTable
@@ -175,8 +177,24 @@ def published_calibration(profile: ForceHistory) -> Calibration:
 
 @cache
 def own_calibration(profile: ForceHistory) -> Calibration:
-    """The calibration by piga's linear estimator, with its history. It needs no first guess."""
-    return calibrate(record(profile), terms=["tan_beta"], method="recursive")
+    """The calibration by piga's linear estimator. It needs no first guess."""
+    return calibrate(record(profile), terms=["tan_beta"])
+
+
+def growing_estimates(run: Run, terms: tuple[str, ...]) -> dict[str, Array]:
+    """Estimates, and their standard uncertainties of the weights, of the first samples of a record (file units)."""
+    rows, marks = [], []
+    for mark in np.unique(np.linspace(1, run.size, GROWING).astype(np.int64)).tolist():
+        try:
+            part = run.between(float(run.t[0]), float(run.t[mark - 1]))
+            fit = fit_run(part, make_request(part, terms))
+        except (ArgumentError, CalibrationError, DataError, IdentifiabilityError):
+            continue  # too few samples
+        named, _ = fit.runs.named(fit.estimate, fit.estimate.covariance)
+        rows.append([size for c in named for size in (c.value, c.std)])
+        marks.append(mark)
+    keys = [key for c in named for key in (c.name, f"u({c.name})")]
+    return {"sample": np.array(marks, dtype=float), **dict(zip(keys, np.array(rows).T, strict=True))}
 
 
 def raw_state(calibration: Calibration) -> tuple[float, float]:
@@ -227,6 +245,8 @@ _VARIANCE = 1e10
 """Diagonal of the first covariance of the published run."""
 POINTS = 400
 """Points of the history."""
+GROWING = 50
+"""Points of that of piga's own estimates."""
 
 
 def published_recursion(

@@ -24,6 +24,7 @@ from piga.studies.case import (
     chapter_of,
     closed_form_phase,
     compensated_error,
+    growing_estimates,
     model_phase,
     model_residual,
     own_calibration,
@@ -129,9 +130,9 @@ def recursion() -> Chapter:
 def _history_figure() -> Figure:
     """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
     t = record("ramp").t
-    estimates: tuple[tuple[Calibration, str, Role], ...] = (
-        (published_calibration("ramp"), "published recursion", "before"),
-        (own_calibration("ramp"), "linear estimator, no first guess", "after"),
+    estimates: tuple[tuple[dict[str, Array], str, Role], ...] = (
+        (published_calibration("ramp").history or {}, "published recursion", "before"),
+        (growing_estimates(record("ramp"), ("tan_beta",)), "linear estimator, no first guess", "after"),
     )
     plot = Plot("recursion-history", "Recursive calibration: history of the estimates", columns=2, height=2.3)
     for name, scale, y, true, printed in (
@@ -143,8 +144,7 @@ def _history_figure() -> Figure:
             plot.panel("time [s]", y, above if name == "tan_beta" else "")
             plot.level([begin, t[-1]], scale * true, "true")
             plot.level([begin, t[-1]], scale * printed, "published result", "warning")
-            for calibration, label, role in estimates:
-                history = calibration.history or {}
+            for history, label, role in estimates:
                 when = t[history["sample"].astype(int) - 1]
                 shown = when >= begin
                 plot.line(when[shown], scale * history[name][shown], label, role)
@@ -281,8 +281,8 @@ def _noisy_successes() -> tuple[int, int]:
 
 @cache
 def own_five() -> Calibration:
-    """Calibration of the real record by piga, with history."""
-    return calibrate(_real_record(), terms=TERMS, method="recursive")
+    """Calibration of the real record by piga."""
+    return calibrate(_real_record(), terms=TERMS)
 
 
 @cache
@@ -369,19 +369,20 @@ def _five_history() -> Figure:
     t = _real_record().t
     plot = Plot("five-history", "The five coefficients as the record comes in", columns=2, height=2.0)
 
-    def late(calibration: Calibration, name: str) -> tuple[Array, Array]:
-        """Times from 20 s on, and the history there, every second instant."""
-        history = calibration.history or {}
-        when = t[np.minimum(history["sample"][::2].astype(int), t.size) - 1]
-        return when[when > 20.0], history[name][::2][when > 20.0]
+    own, published = growing_estimates(_real_record(), TERMS), published_five(real=True).history or {}
+
+    def late(history: dict[str, Array], name: str) -> tuple[Array, Array]:
+        """Times from 20 s on, and the history there."""
+        when = t[np.minimum(history["sample"].astype(int), t.size) - 1]
+        return when[when > 20.0], history[name][when > 20.0]
 
     for name, scale, y in _SHOWN:
-        when, value = late(own_five(), name)
-        half = 2.0 * scale * late(own_five(), f"u({name})")[1]
+        when, value = late(own, name)
+        half = 2.0 * scale * late(own, f"u({name})")[1]
         plot.panel("time [s]", y)
         plot.band(when, scale * value - half, scale * value + half, "95 % interval", "after")
         plot.level([20.0, t[-1]], scale * TRUTH[name], "published value")
-        before, old = late(published_five(real=True), name)
+        before, old = late(published, name)
         plot.line(before, scale * old, "published method", "before")
         plot.line(when, scale * value, "linear estimator", "after")
     return plot.caption(

@@ -73,12 +73,12 @@ def make_request(
         If the record lacks data for a term, or lost the phase that ``shared`` needs.
     """
     model, estimation, count = run.model, run.estimation, integral_unit(run.unit)
-    walk = estimation.angle_random_walk
+    walk, asked = estimation.angle_random_walk, method or estimation.method
     request = Request(
         terms=term_names(terms) if terms is not None else model.terms,
         phases=phases or model.phases,
         phase_source=phase_source or model.phase_source,
-        method=method or estimation.method,
+        method="information" if asked == "recursive" else asked,
         angle_rms=None if estimation.angle_rms is None else level_in(estimation.angle_rms, count),
         angle_random_walk=None if walk is None else level_in(walk, f"{count}/sqrt(s)"),
         temperature_reference=to_si(model.temperature_reference, "K"),
@@ -199,7 +199,7 @@ def check_servo(request: Request) -> None:
     if request.method == "revolutions":
         raise CalibrationError(
             f"method '{request.method}' cannot estimate the term '{asked[0]}'",
-            remedy="use method 'information', 'rate' or 'recursive', or leave the term out",
+            remedy="use method 'information' or 'rate', or leave the term out",
         )
 
 
