@@ -20,6 +20,7 @@ from piga.reading.checks import (
     OutputScale,
     find_positions,
     leave_out_ranges,
+    leave_out_repeats,
     leave_out_settling,
     note_doubtful,
     note_norm,
@@ -30,7 +31,7 @@ from piga.reading.checks import (
 from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
 from piga.records.arrays import empty, largest_size, norms, scaled, stored
 from piga.records.calibration.diagnostics import Event, Quality
-from piga.records.run import Run, TimeBase, drop_repeats, examine_time
+from piga.records.run import Run, TimeBase, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
 from piga.records.text_files import toml_bytes
@@ -156,7 +157,7 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     if data.settle is not None:
         leave_out_settling(raw, t, to_si(data.settle, "s"))
     _check_usable(raw)
-    raw.events += drop_repeats(t, raw.segment, raw.usable, list(raw.numbers.values()), raw.rows)
+    leave_out_repeats(raw, t)
     return raw.keep_usable(t)
 
 

@@ -51,6 +51,18 @@ def leave_out_ranges(raw: RawColumns, wanted: Sequence[LeftOutTable]) -> None:
         raw.leave_out("left-out", inside, f"rows {low} to {high} are not used: {entry.reason}")
 
 
+def leave_out_repeats(raw: RawColumns, t: Array) -> None:
+    """Do not use rows with a repeated time (n,): the second of two identical rows, both of two conflicting rows."""
+    index = np.flatnonzero(raw.usable)
+    same = (np.diff(t[index]) == 0.0) & (np.diff(raw.segment[index]) == 0)
+    first, second = index[:-1][same], index[1:][same]
+    identical = np.all([column[first] == column[second] for column in raw.numbers.values()], axis=0)
+    raw.usable[second] = False
+    raw.usable[first[~identical]] = False
+    raw.note("repeated-row", second[identical], "the copy is not used")
+    raw.note("conflicting-row", second[~identical], "same time, other values: neither is used")
+
+
 def note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
     """Report runs of the largest or smallest value in a column that otherwise changes all the time.
 

@@ -556,29 +556,7 @@ class TimeBase:
     begins: NDArray[np.bool_]
     nominal: float
     events: tuple[Event, ...]
-    step: Array = field(default_factory=lambda: np.empty(0))
-
-
-def drop_repeats(
-    t: Array,
-    segment: NDArray[np.int32],
-    usable: NDArray[np.bool_],
-    values: list[Array],
-    rows: NDArray[np.int64],
-) -> list[Event]:
-    """Clear ``usable`` (n,) for rows with a repeated time: the second of two identical rows, both of two conflicting rows.
-
-    ``values`` are all columns (n,) each; ``rows`` (n,) are file rows, for the messages.
-    """
-    index = np.flatnonzero(usable)
-    same = (np.diff(t[index]) == 0.0) & (np.diff(segment[index]) == 0)
-    first, second = index[:-1][same], index[1:][same]
-    identical = np.all([column[first] == column[second] for column in values], axis=0)
-    usable[second] = False
-    usable[first[~identical]] = False
-    events = counted("repeated-row", second[identical], rows, "the copy is not used")
-    conflict = "same time, other values: neither is used"
-    return events + counted("conflicting-row", second[~identical], rows, conflict)
+    step: Array
 
 
 def examine_time(t: Array, segment: NDArray[np.int32], rows: NDArray[np.int64]) -> TimeBase:
