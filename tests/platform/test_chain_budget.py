@@ -8,7 +8,6 @@ import pytest
 from piga.platform import error_budget, linear_errors, simulate
 from piga.platform.chain import perturbed_errors, standard_sources
 from piga.platform.navigator import Perturbation
-from piga.platform.scenario import Place
 from tests.platform.conftest import INTERPRETED, alignment, published
 
 pytestmark = pytest.mark.interpreted
@@ -34,14 +33,6 @@ def test_linear_errors_are_those_of_a_perturbed_run(quiet_run, name, perturbatio
         np.abs(position[:, 2]).max(), 0.01 * np.abs(position).max()
     )  # height one step late
     assert np.abs(velocity[:, :2] - linear[:, 4:6]).max() < 0.02 * np.abs(velocity[:, :2]).max()
-
-
-def test_a_tilt_swings_with_the_schuler_period():
-    history = linear_errors(Place(0.7), Perturbation(velocity=(0.01, 0.0, 0.0)), 5400.0, step=5.0)
-    north = history[:, 1]
-    crossing = history[np.flatnonzero(np.diff(np.sign(north[1:])))[0] + 1, 0]
-    assert crossing == pytest.approx(2.0 * np.pi * np.sqrt(6378137.0**3 / 3.986004418e14) / 2.0, rel=0.01)
-    assert north.max() == pytest.approx(0.01 / 1.2394e-3, rel=0.02)
 
 
 def test_the_budget_lists_every_source_and_their_sum():

@@ -282,17 +282,6 @@ def test_lines_are_found_beside_all_that_is_known_to_be_there(ratio):
     np.testing.assert_allclose(seen, [0.02, 0.5 + 1e-7 * t.mean()], rtol=2e-3)
 
 
-@pytest.mark.parametrize("latitude", LATITUDES)
-def test_a_schuler_oscillation_does_not_leak_into_the_lines(latitude):
-    """1.5 m/s at rates that the columns have to 0.15 %, split by Foucault's turn, beside lines of 0.1 and 1 mm/s."""
-    t, split = np.arange(4320) * 20.0, OMEGA * np.sin(latitude * DEG)
-    schuler = 1.0015 * np.sqrt(GM / A**3)
-    wave = 1.5 * np.cos(schuler * t + 0.4) * np.cos(split * t) + 0.8 * np.cos((W1 - OMEGA) * t + 1.0)
-    wave += 1e-4 * np.cos(W1 * t + 0.3) + 1e-3 * np.sin(W2 * t)
-    seen = fitted_lines(t, wave[:, None], (W1, W2), latitude * DEG)[:, 0]
-    np.testing.assert_allclose(seen, [1e-4, 1e-3], rtol=2e-3)
-
-
 def test_the_budget_shows_the_lines_of_each_misalignment():
     """By the published relations without the Schuler factor, which is below 2 % here."""
     s = unequal(redundancy=0.05, equatorial=Gyro(1e-3, 0.7), polar=Gyro(1e-3, 0.2))

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from piga.frames import matrix_to_rotation_vector
 from piga.platform.geometry import (
@@ -59,25 +57,6 @@ def test_the_small_angle_matrices_are_wrong_by_second_order():
     for whole, half in zip(difference(2e-3), difference(1e-3), strict=True):
         assert 3.9 < whole / half < 4.1
         assert whole < 2.0 * (2e-3) ** 2
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    m1=st.floats(-0.05, 0.05),
-    m2=st.floats(-0.05, 0.05),
-    c1=st.floats(-9, 9),
-    c2=st.floats(-9, 9),
-    eta=st.floats(-1, 1),
-)
-def test_each_momentum_lies_along_its_tip(m1, m2, c1, c2, eta):
-    attitude, ring = nulled_attitude(Gyro(m1), Gyro(m2), c1, c2, eta)
-    c = attitude[0]
-    np.testing.assert_allclose(c @ c.T, np.eye(3), atol=1e-15)
-    polar = np.array([-np.sin(m1) * np.sin(c1), np.sin(m1) * np.cos(c1), np.cos(m1)])
-    np.testing.assert_allclose(c @ [0, 0, 1], polar, atol=1e-15)
-    tip = np.array([np.cos(m2), -np.sin(m2) * np.sin(c2), np.sin(m2) * np.cos(c2)])
-    turn = np.array([[np.cos(ring[0]), 0, np.sin(ring[0])], [0, 1, 0], [-np.sin(ring[0]), 0, np.cos(ring[0])]])
-    np.testing.assert_allclose(c @ [np.cos(eta), 0, -np.sin(eta)], turn @ tip, atol=2e-15)
 
 
 def test_harmonics_follow_their_definition_whatever_the_phase():

@@ -174,22 +174,23 @@ FORCE_FILTER = ForceFilter()
 class _Stretch:
     """Part of a record, with what smoothing, whitening and the slow force need; nothing of the unknowns.
 
-    ``readouts`` of the stretch alone; ``window`` weights over samples, a row every ``stride`` samples; ``spacing`` [s] of the
-    spline's knots.
+    ``readouts`` of the stretch alone, each sample the sum of ``added`` of the record; ``window`` weights over samples, a row
+    every ``stride`` samples; ``spacing`` [s] of the spline's knots.
     """
 
     readouts: Readouts
+    added: int
     window: Array
     stride: int
     spacing: float
 
     @cached_property
     def whitening(self) -> Array:
-        """Lower triangle (r, r) that whitens the rows of smoothed white noise, to the noise level of the samples."""
+        """Lower triangle (r, r) that whitens the rows of smoothed white noise, to the noise level of the record."""
         w, count = self.window, len(range(0, len(self.readouts.increments) + 1 - len(self.window), self.stride))
         overlap = np.zeros(max(count, len(w)))
         overlap[: -(-len(w) // self.stride)] = [w[k:] @ w[: len(w) - k] for k in range(0, len(w), self.stride)]
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(overlap[:count]))))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(toeplitz(overlap[:count] / self.added))))
 
     @cached_property
     def knots(self) -> Array:
@@ -344,7 +345,7 @@ class ObservedRecord:
         window = np.convolve(hann, hann) / hann.sum() ** 2
         count = max(1, round(n * r.step / slow / FORCE_FILTER.turns))
         edges = np.linspace(0, n, count + 1).astype(np.int64).tolist()
-        return tuple(_Stretch(r.between(a, b), window, stride, slow) for a, b in pairwise(edges))
+        return tuple(_Stretch(r.between(a, b), every, window, stride, slow) for a, b in pairwise(edges))
 
     def coarse(self) -> Unknowns:
         """First guess from a static record: triad from the gravity cone, base from the first gimbal angles.
