@@ -268,11 +268,8 @@ def test_numbers_come_back_to_the_bit(value, units):
             "not a Digital Calibration Certificate",
         ),
         (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
-        (b"piga_jointResult", b"piga_other", "contradicts itself: .*quantity stands where"),
         (b"piga_calibrationRecord", b"other", "no calibration record"),
         (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
-        (b"scale_factor tan_beta phi", b"scale_factor phi tan_beta", "labelXMLList is"),
-        (b"<si:valueXMLList>", b"<si:valueXMLList>1 ", "valueXMLList is"),
         (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "valueStandardMUXMLList is"),
         (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "has 7 parts, not 6"),
     ],
@@ -283,16 +280,6 @@ def test_damaged_certificates_are_refused_in_words(cal, tmp_path, old, new, word
     changed_raw = raw.replace(old, new) if b"Certificate" in old else raw.replace(old, new, 1)
     with pytest.raises(PigaError, match=words):
         back(changed_raw, tmp_path)
-
-
-def test_a_changed_covariance_is_found(cal, tmp_path):
-    root = dcc_document(complete(), cal)
-    values = root.findall(".//si:columnXMLList/si:covarianceXMLList/si:valueXMLList", N)[2]
-    values.text = (
-        values.text.replace("e-", "e-1", 1) if "e-" in values.text else "1 " + values.text.split(" ", 1)[1]
-    )
-    with pytest.raises(PigaError, match=r"contradicts itself: .*covarianceXMLList/valueXMLList is"):
-        calibration_of(root, tmp_path / "x.xml")
 
 
 @pytest.fixture(scope="module")
@@ -327,11 +314,8 @@ CORE = "dcc:administrativeData/dcc:coreData/dcc:"
 ALTERED = [
     (f"{real_of('scale_factor')}/si:value", "0.09060", "value of scale_factor is '0.09060'"),
     (f"{real_of('k2')}/si:label", "k3", "label of k3 is 'k3', by the attached records 'k2'"),
-    (f"{real_of('m_Y')}/si:unit", r"\one", "unit of m_Y is"),
     (f"{real_of('m_Y')}//si:valueExpandedMU", "2.6E-6", "valueExpandedMU of m_Y is"),
     (f"{real_of('k0')}//si:intervalMin", "0.01569", "intervalMin of k0 is"),
-    (f"{real_of('k0')}/../dcc:name/dcc:content", "Second-order coefficient", "content of k0 is"),
-    (".//dcc:item/dcc:identifications/dcc:identification/dcc:value", "G-0418", "identification/value is 'G-0418'"),
     (f"{CORE}issueDate", "2025-03-09", "issueDate is '2025-03-09', by the attached records '2026-03-09'"),
     (f"{real_of('m_Y')}/../dcc:measurementMetaData//dcc:conformity", "fail", "conformity of m_Y is 'fail'"),
     (".//dcc:statement/dcc:data/dcc:quantity/si:real/si:value", "-98.0", "quantity/real/value is"),
@@ -406,16 +390,10 @@ def test_an_altered_sentence_is_found(stated, title, old, new):
     ("old", "new", "words"),
     [
         (b"<dcc:results>", b"<dcc:results><dcc:result><dcc:name/><dcc:data/></dcc:result>", "parts, not"),
-        (
-            b"</dcc:measurementResults>",
-            b"</dcc:measurementResults><dcc:comment>k0 is 3 mg</dcc:comment>",
-            "parts, not",
-        ),
         (b"</dcc:coreData>", b"<dcc:issueDate>2026-03-10</dcc:issueDate></dcc:coreData>", "parts, not"),
         (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "text beside its parts"),
         (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "comments"),
         (b"<si:label>k2<", b"<si:label value='3'>k2<", "stands where"),
-        (b"basic_measuredValue", b"basic_otherValue", "stands where"),
     ],
 )
 def test_a_certificate_has_one_form(stated, old, new, words):

@@ -6,7 +6,7 @@
 """
 
 from piga.certificate.certificate_file import CertificateFile, missing_items, read_certificate_file
-from piga.certificate.page import certificate_html, require_complete, write_certificate
+from piga.certificate.page import certificate_html, require_complete
 
 __all__ = [
     "CertificateFile",
@@ -14,5 +14,4 @@ __all__ = [
     "missing_items",
     "read_certificate_file",
     "require_complete",
-    "write_certificate",
 ]

@@ -66,16 +66,12 @@ _UNCERTAINTY = (
 
 
 def dcc_document(
-    data: CertificateFile, calibration: Calibration, before: Calibration | None = None
+    data: CertificateFile, calibration: Calibration, before: Calibration | None = None, release: str = ""
 ) -> etree._Element:
-    """The certificate as XML. ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`)."""
-    return _write(data, calibration, before, _own_release())
+    """The certificate as XML, as piga of this or of another release writes it.
 
-
-def _write(
-    data: CertificateFile, calibration: Calibration, before: Calibration | None, release: str
-) -> etree._Element:
-    """The certificate as piga of that release writes it."""
+    ``data`` must be complete (:func:`piga.certificate.certificate_file.missing_items`).
+    """
     from lxml import etree
 
     days = {
@@ -88,14 +84,17 @@ def _write(
         calibration=calibration,
         before=before,
         nominal=calibration.scale_factor_nominal * parse_unit(calibration.unit).factor,
-        release=release,
+        release=release or _own_release(),
         days=days.items(),
         statements=statements(data, calibration),
         traceability=TRACEABILITY,
         uncertainty=_UNCERTAINTY,
         conditions=[_condition(condition) for condition in data.environment],
         marks={verdict.key: verdict.status for verdict in verdicts(data, calibration)},
-        covariance=_columns(calibration),
+        covariance=[
+            (list(zip(column, calibration.coefficients, strict=True)), owner)
+            for column, owner in zip(calibration.covariance.T.tolist(), calibration.coefficients, strict=True)
+        ],
         joint_factor=joint_factor(calibration.coefficients),
         attachments=_attachments(data, calibration, before),
     )
@@ -140,15 +139,9 @@ def _template() -> jinja2.Template:
 
 
 def _digit_of(c: Coefficient) -> int:
-    """Power of ten of the last significant digit of a coefficient in SI."""
-    return _significant_digit(Decimal(to_dsi(c.expanded, c.unit)), Decimal(to_dsi(c.value, c.unit)))
-
-
-def _columns(calibration: Calibration) -> list[tuple[list[tuple[float, Coefficient]], Coefficient]]:
-    """Columns of the covariance matrix: each entry with the coefficient of its row, each column with its own."""
-    rows = calibration.coefficients
-    columns = calibration.covariance.T.tolist()
-    return [(list(zip(column, rows, strict=True)), owner) for column, owner in zip(columns, rows, strict=True)]
+    """Power of ten of the last significant digit in SI. U has two. Without U (a given value) all digits count."""
+    half_width, value = Decimal(to_dsi(c.expanded, c.unit)), Decimal(to_dsi(c.value, c.unit))
+    return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)
 
 
 def _condition(condition: ConditionTable) -> dict[str, str]:
@@ -222,7 +215,7 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
     before = _attached(root, _BEFORE, path)
     former = None if before is None else calibration_from_bytes(before, path)
     try:
-        again = _write(file, calibration, former, release)
+        again = dcc_document(file, calibration, former, release)
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise DataError(
             f"{path}: the attached data do not fit the attached calibration ({error})", remedy=_AGAIN
@@ -252,7 +245,7 @@ def _attached(root: etree._Element, kind: str, path: Path) -> bytes | None:
 def _compare_results(root: etree._Element, calibration: Calibration, path: Path) -> None:
     """Compare the results of a certificate of piga 0.2, which attached nothing but the calibration."""
     query = "dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result/dcc:data"
-    again = _write(CertificateFile(), calibration, None, "v0")
+    again = dcc_document(CertificateFile(), calibration)
     for part in ("dcc:list", "dcc:quantity"):
         kind = "[@refType='basic_measuredValue']" if part == "dcc:list" else ""
         place = query.replace("dcc:result/", f"dcc:result{kind}/")
@@ -386,8 +379,3 @@ def to_dsi(value: float, *units: str) -> str:
         return repr(float(value))
     factor = _EXACT.multiply(output, _EXACT.power(G, power))
     return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), factor)))
-
-
-def _significant_digit(half_width: Decimal, value: Decimal) -> int:
-    """Power of ten of the last significant digit. U has two significant digits. Without U (a given value) all digits count."""
-    return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,13 +43,8 @@ _ACROSS = 5
 """Most coefficients side by side in a table of the certificate."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One part of the certificate: heading, paragraphs, tables."""
-
-    title: str
-    paragraphs: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
+_Part = tuple[str, tuple[str, ...], tuple[Table, ...]]
+"""Heading, paragraphs and tables of one part of the certificate."""
 
 
 def require_complete(
@@ -108,12 +103,6 @@ def is_draft(data: CertificateFile) -> bool:
     )
 
 
-def write_certificate(html: str, path: Path) -> Path:
-    """Write the page in UTF-8, with the same line ends on every system. Returns ``path``."""
-    path.write_bytes(html.encode("utf-8"))
-    return path
-
-
 def _css_string(text: str) -> str:
     """Text for a CSS string. Everything except letters, digits and some marks is escaped."""
     return "".join(c if c.isascii() and (c.isalnum() or c in " -_.:") else f"\\{ord(c):x} " for c in text)
@@ -147,21 +136,21 @@ def _identity(data: CertificateFile) -> list[tuple[str, str]]:
 def _parts(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> list[_Part]:
     parts = [
         _method(data),
-        _Part("Conditions", (), (_conditions_table(data),)),
-        _Part("Traceability", (data.traceability.statement,), (_standards_table(data),)),
+        ("Conditions", (), (_conditions_table(data),)),
+        ("Traceability", (data.traceability.statement,), (_standards_table(data),)),
         _results(calibration, before),
     ]
     conformity = verdicts(data, calibration)
     if conformity and data.conformity is not None:
         rule = f"Specification: {data.conformity.specification}. Decision rule, agreed with the customer: "
-        parts.append(_Part("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(conformity),)))
+        parts.append(("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(conformity),)))
     return parts
 
 
 def _method(data: CertificateFile) -> _Part:
     documents = ", ".join(data.method.documents)
     lines = (f"{data.method.name} ({documents}).", data.method.description)
-    return _Part("Method", tuple(line for line in lines if line))
+    return "Method", tuple(line for line in lines if line), ()
 
 
 def _conditions_table(data: CertificateFile) -> Table:
@@ -210,7 +199,7 @@ def _results(calibration: Calibration, before: Calibration | None) -> _Part:
     correlation = correlation_table(calibration)
     if correlation is not None:
         tables += replace(correlation, caption="Correlation coefficients of the results").parts(1, _ACROSS)
-    return _Part("Results", tuple(paragraphs), tuple(tables))
+    return "Results", tuple(paragraphs), tuple(tables)
 
 
 def _result_table(calibration: Calibration, caption: str) -> Table:

@@ -72,6 +72,10 @@ _DIGESTS = ("SHA256", "SHA384", "SHA512")
 """Accepted algorithms, by their names in signxml."""
 SIGNATURE = f"{_DS}Signature"
 _XADES = "{http://uri.etsi.org/01903/v1.3.2#}QualifyingProperties"
+_NOT_VERIFIED = (
+    "the signature holds properties by XAdES (time stamps, revocation data), which were not verified: ask the signer's "
+    "authority whether its certificate was revoked"
+)
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ def verify_signature(path: Path, certificate: Path) -> _VerifiedSignature:
         expected.subject.rfc4514_string(),
         expected.not_valid_before_utc,
         expected.not_valid_after_utc,
-        _remarks(root[-1]),
+        () if root[-1].find(f".//{_XADES}") is None else (_NOT_VERIFIED,),
     )
 
 
@@ -211,14 +215,6 @@ def _revoked(signature: etree._Element, expected: Any) -> dt.datetime | None:
         if entry is not None and found.issuer == expected.issuer:
             return entry.revocation_date_utc
     return None
-
-
-def _remarks(signature: etree._Element) -> tuple[str, ...]:
-    """What a signature holds that is not verified."""
-    if signature.find(f".//{_XADES}") is None:
-        return ()
-    words = "the signature holds properties by XAdES (time stamps, revocation data), which were not verified"
-    return (f"{words}: ask the signer's authority whether its certificate was revoked",)
 
 
 def written(root: etree._Element) -> bytes:

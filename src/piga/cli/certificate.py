@@ -77,7 +77,7 @@ def issue(
 
     from piga.certificate.certificate_file import read_certificate_file
     from piga.certificate.dcc import dcc_document
-    from piga.certificate.page import certificate_html, is_draft, write_certificate
+    from piga.certificate.page import certificate_html, is_draft
     from piga.certificate.xml_signature import sign_xml, written
     from piga.output import check_results
     from piga.records.calibration.calibration import Calibration
@@ -108,7 +108,7 @@ def issue(
     inputs = [calibration, *files_named_in(data), *(path for path in (key, certificate) if path is not None)]
     cautions = [doubt.words for doubt in certified.verdict.doubts]
     with deliver(out, "certificate", RESULTS, inputs, force=force, as_json=as_json) as to:
-        write_certificate(html, to / RESULTS[0])
+        (to / RESULTS[0]).write_bytes(html.encode())
         if xml is not None:
             (to / RESULTS[1]).write_bytes(xml)
         files = [f"{to.folder}/{name}" for name in RESULTS[: 1 if xml is None else 2]]
