@@ -12,9 +12,8 @@ import pytest
 import piga
 import piga.calibration.calibrate as estimator
 from piga.errors import PigaError
-from piga.ledger import compare_calibrations, prepare_results, prepare_run, reproduce
-from piga.ledger import reproduce as reproduce_function
-from piga.ledger.keep import input_files
+from piga.ledger import compare_calibrations, evidence, prepare_run, reproduce
+from piga.ledger.evidence import input_files
 from piga.ledger.store.transfer import verify
 from piga.stand.run_reference import _check_unchanged
 from tests.records.files import write_log, write_run
@@ -84,13 +83,13 @@ def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     calibration.to_json(tmp_path / "out" / "calibration.json")
     with piga.open_store(tmp_path / "lab.sqlite", create=True) as store:
-        record = prepare_results(run, tmp_path / "out", "A", "as it was").keep(store)
+        record = prepare_run(run, "A", "as it was", results=tmp_path / "out").keep(store)
         assert store.read(record.id, "calibration") == (tmp_path / "out" / "calibration.json").read_bytes()
         assert record.document.request["method"] == "rate"
         assert reproduce(store, record.id).verdict == "identical"
         (tmp_path / "run.csv").write_text((tmp_path / "run.csv").read_text() + "9,1,1,1,1,1\n")
         with pytest.raises(PigaError, match="is not the file that the calibration was computed from"):
-            prepare_results(run, tmp_path / "out", "A", "changed").keep(store)
+            prepare_run(run, "A", "changed", results=tmp_path / "out").keep(store)
         assert store.head().number == 1
 
 
@@ -101,7 +100,7 @@ def test_results_of_two_runs_are_never_kept_together(tmp_path: Path) -> None:
     piga.calibrate(piga.read_run(run), ["scale_factor"], "rate").to_json(out / "calibration.json")
     (out / ".piga-moving-calibrate").touch()
     with pytest.raises(PigaError, match="results of two runs"):
-        prepare_results(run, out, "A", "test")
+        prepare_run(run, "A", "test", results=out)
 
 
 def test_absolute_data_file_is_refused(tmp_path: Path) -> None:
@@ -149,7 +148,7 @@ def test_an_input_that_changes_before_the_record_is_written_is_refused(tmp_path:
         prepared.calibration.to_json(tmp_path / "out" / "calibration.json")
         path = tmp_path / name
         path.write_text(path.read_text() + ("# more\n" if name == "run.toml" else "\n"))
-        for late in (prepared, prepare_results(run, tmp_path / "out", "A", "test")):
+        for late in (prepared, prepare_run(run, "A", "test", results=tmp_path / "out")):
             with pytest.raises(
                 PigaError, match=f"{name}: is not the file that the calibration was computed from"
             ):
@@ -213,13 +212,10 @@ def test_a_last_digit_counts_on_the_same_platform(tmp_path: Path, monkeypatch: p
             return _with(result, 0, value=float(np.nextafter(result.coefficients[0].value, 1.0)))
 
         monkeypatch.setattr(estimator, "calibrate", nearly)
-        assert reproduce_function(store, 1).verdict == "different"
-        import sys
-
-        module = sys.modules["piga.ledger.reproduce"]
-        here = module.software_identity()
-        monkeypatch.setattr(module, "software_identity", lambda: here | {"numpy": "9.9"})
-        result = reproduce_function(store, 1)
+        assert reproduce(store, 1).verdict == "different"
+        here = evidence.software_identity()
+        monkeypatch.setattr(evidence, "software_identity", lambda: here | {"numpy": "9.9"})
+        result = reproduce(store, 1)
         assert (result.verdict, result.changed) == ("within tolerance", {"numpy": (here["numpy"], "9.9")})
 
 

@@ -99,7 +99,7 @@ class Campaign:
 
 def software() -> dict[str, str]:
     """Software that determines the numbers: version of piga, digest of its numeric source, versions of libraries."""
-    from piga.ledger.reproduce import NUMERIC_ROOMS, software_identity, source_digest
+    from piga.ledger.evidence import NUMERIC_ROOMS, software_identity, source_digest
 
     names = ("piga", "numpy", "scipy", "numba", "compiled")
     versions = {name: text for name, text in software_identity().items() if name in names}

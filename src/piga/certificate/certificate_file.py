@@ -523,7 +523,9 @@ def statements(data: CertificateFile, calibration: Calibration) -> Iterator[_Sta
     yield _Statement("Traceability", traceability, "7.8.4.1 c", ref_type=TRACEABILITY)
     stated = calibration.diagnostics.range
     ranges = tuple(
-        (name, *map(float, stated[key]), unit) for key, (name, unit) in _RANGES.items() if key in stated
+        (name, float(stated[key][0]), float(stated[key][1]), unit)
+        for key, (name, unit) in _RANGES.items()
+        if key in stated
     )
     if ranges:
         words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)

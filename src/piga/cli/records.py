@@ -34,7 +34,6 @@ from piga.output import is_hidden
 
 if TYPE_CHECKING:
     from piga.ledger import Reproduced
-    from piga.ledger.reproduce import Difference
     from piga.ledger.store import Record
     from piga.ledger.store.documents import Head
     from piga.ledger.store.store import Store
@@ -90,19 +89,6 @@ def _record_lines(record: Record) -> Iterator[str]:
     yield from (f"  {name:<11}{value}" for name, value in facts.items() if value is not None)
     for file in document.files:
         yield f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}"
-
-
-def _difference_document(difference: Difference) -> dict[str, Any]:
-    from piga.records.calibration.coefficient import TYPE_A_ONLY
-    from piga.results import plain
-
-    return {
-        "first": difference.first.id,
-        "second": difference.second.id,
-        "coefficients": [plain(change) | {"ratio": change.ratio} for change in difference.coefficients],
-        "facts": plain(difference.facts),
-        "notes": [f"{name}: {TYPE_A_ONLY}" for name in difference.type_a_only],
-    }
 
 
 def _difference_lines(document: dict[str, Any]) -> Iterator[str]:
@@ -187,7 +173,7 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
-    from piga.ledger import prepare_results, prepare_run
+    from piga.ledger import prepare_run
     from piga.ledger.store.database import is_url
     from piga.records.run_file import read_run_file
 
@@ -204,13 +190,10 @@ def add(
             if supersedes is not None:
                 supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
     with progress("calibrating"):
-        if results is not None:
-            prepared = prepare_results(run, results, operator, reason, measured=measured, supersedes=supersedes)
-        else:
-            prepared = prepare_run(
-                run, operator, reason, terms=wanted, method=method, phases=phases, phase_source=phase_source,
-                measured=measured, supersedes=supersedes, report=report,
-            )  # fmt: skip
+        prepared = prepare_run(
+            run, operator, reason, terms=wanted, method=method, phases=phases, phase_source=phase_source,
+            measured=measured, supersedes=supersedes, report=report, results=results,
+        )  # fmt: skip
     with opened(store, create=True) as kept:
         record = prepared.keep(kept)
         lines = (
@@ -228,7 +211,8 @@ def list_records(
 ) -> None:
     """List the records."""
     with opened(store) as kept:
-        head, old, listed = kept.head(), kept.superseded(serial), list(kept.each(serial))
+        head, listed = kept.head(), kept.records(serial)
+    old = {record.document.supersedes for record in listed}
     _tell(
         store, head, as_json, {"records": list(map(_record_document, listed))},
         (
@@ -278,11 +262,10 @@ def diff(
 
     Shows the differences of the coefficients with their uncertainties, of inputs and of software.
     """
-    from piga.ledger.reproduce import difference
+    from piga.ledger.evidence import difference
 
     with opened(store) as kept:
-        changes, head = difference(kept, first, second), kept.head()
-    document = _difference_document(changes)
+        document, head = difference(kept, first, second), kept.head()
     _tell(store, head, as_json, document, _difference_lines(document))
 
 
@@ -373,7 +356,7 @@ def reproduce(
 
     documents = []
     with opened(store) as kept:
-        names = record or [entry.id for entry in kept.each()]
+        names = record or [entry.id for entry in kept.records()]
         with progress("recomputing", len(names)) as show:
             for number, name in enumerate(names):
                 show(number, len(names), name)
@@ -474,7 +457,7 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
     with open_store(store) as opened:
         calibrations = opened.history(serial)
         if not calibrations:
-            kept = sorted({record.document.serial for record in opened.each()})
+            kept = sorted({record.document.serial for record in opened.records()})
             raise PigaError(
                 f"{store}: holds no record of '{serial}'",
                 remedy=f"--serial is one of: {', '.join(kept[:9])}"

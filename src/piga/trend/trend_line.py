@@ -171,7 +171,7 @@ class Line(Result):
             (inside, self.days.freedom or math.inf),
             (np.sum((part @ self.shared - shared) ** 2), math.inf),
         )
-        return _combined(time, part @ self.coefficients, parts)
+        return _combined(time, float(part @ self.coefficients), parts)
 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:

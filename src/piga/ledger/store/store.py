@@ -73,11 +73,6 @@ class Store(Database):
         """Close the connection."""
         self.engine.dispose()
 
-    def identity(self) -> Identity:
-        """Identity document of the store."""
-        with self.reading() as rows:
-            return _identity(rows)
-
     def head(self) -> Head:
         """The current head of the chain."""
         with self.reading() as rows:
@@ -85,16 +80,8 @@ class Store(Database):
 
     def records(self, serial: str | None = None) -> tuple[Record, ...]:
         """All records in order, or those of one instrument."""
-        return tuple(self.each(serial))
-
-    def each(self, serial: str | None = None) -> Iterator[Record]:
-        """As :meth:`records`, but one by one, for stores whose records do not fit into memory."""
         with self.reading() as rows:
-            yield from self._each(rows, serial)
-
-    def superseded(self, serial: str | None = None) -> set[str]:
-        """Names of the records that later records amend."""
-        return {r.document.supersedes for r in self.each(serial) if r.document.supersedes is not None}
+            return tuple(self._each(rows, serial))
 
     def record(self, name: str | int) -> Record:
         """One record, by its name or by its number in this store.

@@ -47,12 +47,8 @@ from piga.records.text_files import JsonError, json_object, open_regular
 
 _EXPORT = "piga.export/1"
 _MAX_MEMBERS = 1_000_000
-_MAX_DOCUMENT = 16 << 20
-"""Largest link or record document [bytes]."""
-_MAX_SUMS = 160 * _MAX_MEMBERS
-"""Largest ``SHA256SUMS`` [bytes]: at most 137 bytes for each member."""
-_MAX_FILE = 16 << 30
-"""Largest file [bytes]."""
+_MAX_DOCUMENT, _MAX_SUMS, _MAX_FILE = 16 << 20, 160 * _MAX_MEMBERS, 16 << 30
+"""Largest link or record document, ``SHA256SUMS`` (at most 137 bytes for each member) and file [bytes]."""
 _MEMBER = re.compile(
     r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
 )

@@ -1,5 +1,6 @@
-"""Recompute a record from its stored inputs and compare the numbers.
+"""Calibrate and store; recompute a stored record and compare the numbers; compare two records.
 
+Inputs, result and report of a calibration become one record. On an error nothing is stored.
 The same software on the same platform must give the same bits. Another platform, or another version of a library, may round
 otherwise. Then every coefficient, standard uncertainty and covariance has to agree within :data:`ROUNDING` of its standard
 uncertainty.
@@ -19,19 +20,32 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from pathlib import Path
-from typing import Any, Literal
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from piga._version import __version__
-from piga.errors import StoreError
-from piga.ledger.store import Record
+from piga.errors import CalibrationError, RunFileError, StoreError
+from piga.ledger.store import Draft, DraftFile, Record
 from piga.ledger.store.store import Store
-from piga.records import Calibration, Coefficient
-from piga.records.calibration.document import to_document
+from piga.output import check_results
+from piga.reading.columns import stand_files
+from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient
+from piga.records.calibration.document import (
+    MOST_BYTES,
+    calibration_from_bytes,
+    calibration_to_bytes,
+    to_document,
+)
+from piga.records.text_files import read_whole
+from piga.records.run_file import read_run_file
 from piga.results import Result
 from piga.units import numbers_are_si
+
+if TYPE_CHECKING:
+    from piga.ledger.store.documents import Position
 
 ROUNDING = 1e-6
 """Difference allowed where the arithmetic differs, as a share of the standard uncertainty (own choice)."""
@@ -42,6 +56,169 @@ _OTHER_ESTIMATOR = ("piga 0.1", "piga 0.2")
 
 _UNCOMPARED = ("created", "software", "source")
 """Provenance entries that are not compared: time, software and folder."""
+_RESULT, _PAGE = "results/calibration.json", "results/report.html"
+"""Names of the results in a record."""
+_MAX_PAGE = 1 << 28
+"""Largest page that is kept [bytes]. The page of a calibration has a few MB."""
+
+
+# -- keep ----------------------------------------------------------------------------------------------
+
+
+def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
+    """Run file, data file, its ``.sha256`` if there is one, and the files of a ``[stand]`` table.
+
+    Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down. ``digests``
+    are those of the inputs as they were read for the calibration; the store refuses others.
+    """
+    run_file = read_run_file(run)
+    named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]
+    if Path(f"{run_file.data.file}.sha256").name in digests:
+        named.append(("sidecar", f"{run_file.data.file}.sha256"))
+    for _, name in named:
+        if PurePosixPath(name).is_absolute() or Path(name).is_absolute():
+            raise RunFileError(
+                f"{run}: '{name}' is an absolute path: the record could not be read elsewhere",
+                remedy="name the file relative to the run file",
+            )
+    depth = max(_upwards(name) for _, name in named)
+    below = "/".join(["run"] * depth)
+    files = [DraftFile("run", _joined(below, run.name), run, digests.get(run.name, ""))]
+    for role, name in dict.fromkeys(named):
+        key = name if role == "stand" else Path(name).name
+        files.append(DraftFile(role, _joined(below, name), run.parent / name, digests.get(key, "")))
+    return tuple(files)
+
+
+def _upwards(name: str) -> int:
+    return os.path.normpath(name).replace(os.sep, "/").split("/").count("..")
+
+
+def _joined(below: str, name: str) -> str:
+    return os.path.normpath(f"{below}/{name}" if below else name).replace(os.sep, "/")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A calibration ready to be stored: the record without its place in the chain; ``report``: make its page with that place."""
+
+    draft: Draft
+    calibration: Calibration
+    report: bool = False
+
+    def keep(self, store: Store) -> Record:
+        """Store the record. When this returns, it is on disk.
+
+        Raises
+        ------
+        PigaError
+            If it cannot be stored; nothing is stored then.
+        """
+        return store.append(self._at)
+
+    def _at(self, place: Position) -> Draft:
+        if not self.report:
+            return self.draft
+        page = _report(self.calibration, self.draft, place)
+        report = DraftFile("report", _PAGE, page.encode())
+        return replace(self.draft, files=(*self.draft.files, report))
+
+
+def prepare_run(
+    run: Path,
+    operator: str,
+    reason: str,
+    *,
+    terms: list[str] | None = None,
+    method: str | None = None,
+    phases: str | None = None,
+    phase_source: str | None = None,
+    measured: str | None = None,
+    supersedes: str | None = None,
+    report: bool = True,
+    results: Path | None = None,
+) -> Prepared:
+    """Calibrate a run and prepare its record: inputs, result, and a report that shows the record's name and the head.
+
+    Parameters
+    ----------
+    run:
+        Run file.
+    operator, reason:
+        Who stores the record, and why.
+    terms, method, phases, phase_source:
+        As for :func:`piga.calibrate`.
+    measured:
+        Time of the test, in ISO form; UTC if no zone is given.
+    supersedes:
+        Name of the record that this one amends.
+    report:
+        Create the report, too.
+    results:
+        Folder that ``piga calibrate`` wrote for this run. Its files are stored unchanged, and nothing is computed.
+
+    Raises
+    ------
+    PigaError
+        If the run cannot be calibrated.
+    """
+    if results is None:
+        from piga.calibration.calibrate import calibrate
+        from piga.stand import read_run
+
+        calibration = calibrate(read_run(run), terms, method, phases=phases, phase_source=phase_source)
+        files, software = (
+            [DraftFile("calibration", _RESULT, calibration_to_bytes(calibration))],
+            software_identity(),
+        )
+    else:
+        path, page = results / "calibration.json", results / "report.html"
+        raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
+        calibration = calibration_from_bytes(raw, path)
+        software = {"piga": calibration.provenance.software.removeprefix("piga ")}
+        files = [DraftFile("calibration", _RESULT, raw)]
+        if page.is_file():
+            html = read_whole(page, _MAX_PAGE, "a report.html", CalibrationError)
+            files.append(DraftFile("report", _PAGE, html))
+        check_results(results)
+    options = {
+        "terms": list(calibration.terms),
+        "method": calibration.method,
+        "phase": calibration.phases,
+        "phase_source": calibration.phase_source,
+    }
+    kept = (*input_files(run, calibration.provenance.input_sha256), *files)
+    draft = Draft(calibration.serial, operator, reason, kept, options, software, measured, supersedes)
+    return Prepared(draft, calibration, report and results is None)
+
+
+def _report(calibration: Calibration, draft: Draft, place: Position) -> str:
+    """The report of a record, with its place in the chain."""
+    from piga.reports.calibration.page import page as calibration_page
+    from piga.reports.calibration.tables import facts_table
+    from piga.reports.render.page import Section, page_html
+
+    lead = (
+        "This report is part of a record that is never changed. The head below vouches for every record before it: "
+        "piga records verify --head compares it with the store."
+    )
+    rows = [
+        ("Record", place.id),
+        ("Number in the store", str(place.number)),
+        ("Store", place.store),
+        ("Head before this record", place.after),
+        ("Operator", draft.operator),
+        ("Reason", draft.reason),
+    ]
+    rows += [("Measured", draft.measured)] if draft.measured else []
+    rows += [("Supersedes", draft.supersedes)] if draft.supersedes else []
+    page = calibration_page(calibration)
+    section = Section("Record", "record", (lead, facts_table(rows, code=True)))
+    footer = f"Record {place.id}, number {place.number}, after head {place.after}. {page.footer}"
+    return page_html(replace(page, sections=(*page.sections, section), footer=footer))
+
+
+# -- reproduce -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -125,68 +302,37 @@ def _near(stored: Coefficient, recomputed: Coefficient) -> float:
     return stored.value + math.remainder(recomputed.value - stored.value, 2.0 * math.pi)
 
 
-@dataclass(frozen=True)
-class Change:
-    """A coefficient in two records, both in ``unit``. The uncertainty of the difference assumes that they are independent."""
+def difference(store: Store, first: str | int, second: str | int) -> dict[str, Any]:
+    """Compare two records: their names, the changes of the coefficients, other facts that differ, and notes.
 
-    key: str
-    unit: str
-    first: float | None
-    second: float | None
-    difference: float | None
-    std: float | None
-
-    @property
-    def ratio(self) -> float | None:
-        """Difference divided by its standard uncertainty."""
-        return self.difference / self.std if self.difference is not None and self.std else None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Difference(Result):
-    """Comparison of two records: coefficients, and other differences as ``name: (first, second)``.
-
-    ``type_a_only`` names the records whose uncertainties are of Type A only.
-    """
-
-    first: Record
-    second: Record
-    coefficients: tuple[Change, ...]
-    facts: dict[str, tuple[Any, Any]]
-    type_a_only: tuple[str, ...] = ()
-
-
-def difference(store: Store, first: str | int, second: str | int) -> Difference:
-    """Compare two records.
-
-    Raises
-    ------
-    StoreError
-        If a record does not exist or holds no calibration.
+    The uncertainty ``std`` of a change assumes that the two are independent; ``ratio`` is the change over it. A fact is a pair.
     """
     a, b = store.record(first), store.record(second)
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
     old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
-    changes = [_change(key, old.get(key), new.get(key)) for key in dict.fromkeys((*old, *new))]
-    alone = tuple(name for name, calibration in calibrations.items() if calibration.type_a_only)
-    return Difference(a, b, tuple(changes), _differing(a, b), alone)
+    then, now = _facts_of(a), _facts_of(b)
+    return {
+        "first": a.id,
+        "second": b.id,
+        "coefficients": [_change(key, old.get(key), new.get(key)) for key in dict.fromkeys((*old, *new))],
+        "facts": {
+            name: (then.get(name), now.get(name))
+            for name in dict.fromkeys((*then, *now))
+            if then.get(name) != now.get(name)
+        },
+        "notes": [f"{name}: {TYPE_A_ONLY}" for name, one in calibrations.items() if one.type_a_only],
+    }
 
 
-def _change(key: str, old: Coefficient | None, new: Coefficient | None) -> Change:
+def _change(key: str, old: Coefficient | None, new: Coefficient | None) -> dict[str, Any]:
     """The change of one coefficient; without a difference where one of the records lacks it."""
-    if old is None:
-        return Change(key, new.unit if new else "", None, new.value if new else None, None, None)
-    if new is None:
-        return Change(key, old.unit, old.value, None, None, None)
-    return Change(
-        key, old.unit, old.value, new.value, _near(old, new) - old.value, math.hypot(old.std, new.std)
-    )
-
-
-def _differing(a: Record, b: Record) -> dict[str, tuple[Any, Any]]:
-    first, second = _facts_of(a), _facts_of(b)
-    names = dict.fromkeys((*first, *second))
-    return {n: (first.get(n), second.get(n)) for n in names if first.get(n) != second.get(n)}
+    unit = next(c.unit for c in (old, new) if c is not None)
+    values = {"first": old and old.value, "second": new and new.value}
+    change = std = None
+    if old and new:
+        change, std = _near(old, new) - old.value, math.hypot(old.std, new.std)
+    ratio = change / std if change is not None and std else None
+    return {"key": key, "unit": unit, **values, "difference": change, "std": std, "ratio": ratio}
 
 
 def _facts_of(record: Record) -> dict[str, Any]:
