@@ -15,7 +15,7 @@ from piga.records.calibration.coefficient import TYPE_A_ONLY
 from piga.records.calibration.document import calibration_to_bytes
 from tests.cli.runner import outcome
 from tests.ledger.store.drafts import add, filled
-from tests.ledger.test_reproduce import small_run
+from tests.ledger.test_evidence import small_run
 from tests.reports.example import calibration
 
 Command = Callable[..., tuple[int, str, str]]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import random
-import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -76,23 +74,6 @@ def test_two_stations_at_once(url: str) -> None:
     assert verification.sound, verification.problems
     changes = sum(a.split("-")[0] != b.split("-")[0] for a, b in pairwise(reasons))
     assert changes >= 14, "a station waited for the other to end"
-
-
-@pytest.mark.long
-def test_a_killed_station_loses_nothing(url: str) -> None:
-    open_store(url, create=True).close()
-    context, chance, names = multiprocessing.get_context("forkserver"), random.Random(3), set[str]()
-    context.set_forkserver_preload([drafts.__name__])
-    for index in range(4):
-        process, pipe = _start(context, url, f"s{index}", 1000)
-        names.add(pipe.recv())
-        time.sleep(chance.uniform(0.0, 0.1))
-        process.kill()
-        process.join()
-        names |= set(_acknowledged(pipe))
-    with open_store(url) as store:
-        assert names <= {record.id for record in store.records()}
-    assert verify(url).sound
 
 
 @pytest.mark.parametrize(

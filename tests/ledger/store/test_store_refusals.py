@@ -11,7 +11,6 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +178,7 @@ def members_of(path: Path) -> dict[str, bytes]:
         return {name: export.read(name) for name in export.namelist()}
 
 
-def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP_DEFLATED) -> None:
+def rewrite(path: Path, members: dict[str, bytes]) -> None:
     """An export with sums that fit its members."""
     named = {name: data for name, data in members.items() if name != "SHA256SUMS"}
     digests = {
@@ -187,7 +186,7 @@ def rewrite(path: Path, members: dict[str, bytes], *, packing: int = zipfile.ZIP
         for name, data in named.items()
     }
     sums = "".join(f"{digest}  {name}\n" for name, digest in sorted(digests.items())).encode()
-    with zipfile.ZipFile(path, "w", packing) as export:
+    with zipfile.ZipFile(path, "w") as export:
         for name, data in {**named, "SHA256SUMS": members.get("SHA256SUMS-as-is", sums)}.items():
             if name != "SHA256SUMS-as-is":
                 export.writestr(name, data)
@@ -226,34 +225,17 @@ def test_a_chain_forged_without_a_change_is_sound(sound: Path) -> None:
     assert verify(sound).problems == []
 
 
-def same_name(_number: int, document: dict[str, Any]) -> None:
-    document["id"] = "AAAAA-AAAAA"
-
-
-def other_place(number: int, document: dict[str, Any]) -> None:
-    document["number"] = number + 1
-
-
-def other_size(number: int, document: dict[str, Any]) -> None:
-    document["files"][0] = document["files"][0] | {"size": number}
-
-
-def huge_size(_number: int, document: dict[str, Any]) -> None:
-    document["files"][0] = document["files"][0] | {"size": 2**70}
-
-
-def no_digest(_number: int, document: dict[str, Any]) -> None:
-    document["files"][0] = document["files"][0] | {"sha256": "../../etc/passwd"}
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (same_name, r"record 2: has the name of another \(AAAAA-AAAAA\)"),
-        (other_place, "record 1: was not written for this place"),
-        (other_size, "was altered"),
-        (huge_size, "was altered"),
-        (no_digest, "file 'run.toml' has no valid digest or size"),
+        (
+            lambda _, record: record.update(id="AAAAA-AAAAA"),
+            r"record 2: has the name of another \(AAAAA-AAAAA\)",
+        ),
+        (lambda number, record: record.update(number=number + 1), "record 1: was not written for this place"),
+        (lambda number, record: record["files"][0].update(size=number), "was altered"),
+        (lambda _, record: record["files"][0].update(size=2**70), "was altered"),
+        (lambda _, record: record["files"][0].update(sha256="../x"), "'run.toml' has no valid digest or size"),
     ],
 )
 def test_a_chain_forged_from_end_to_end(
@@ -299,15 +281,3 @@ def test_what_is_no_export(tmp_path: Path) -> None:
         (tmp_path / "b.zip").write_bytes(b"PK\x03\x04 and nothing that a ZIP file needs")
         with pytest.raises(StoreError, match="the export is damaged"):
             import_records(store, tmp_path / "b.zip", "A", "merge")
-
-
-def test_a_member_whose_bytes_were_changed(sound: Path) -> None:
-    """Stored as it is, so that one byte can be changed where it lies."""
-    rewrite(sound, members_of(sound), packing=zipfile.ZIP_STORED)
-    raw = sound.read_bytes()
-    at = raw.index(b"This is an export")
-    sound.write_bytes(raw[:at] + b"t" + raw[at + 1 :])
-    (problem,) = verify(sound).problems
-    assert "member 'README.txt': Bad CRC-32" in problem
-    with closing(sqlite3.connect(sound.parent / "a.sqlite")) as untouched:
-        assert untouched.execute("SELECT count(*) FROM piga_entry").fetchone() == (2,)

@@ -80,14 +80,6 @@ def test_what_add_refuses_import_refuses(
     assert verify(tmp_path / "local.sqlite").sound
 
 
-def test_names_that_are_none(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr("piga.ledger.store.store.new_id", lambda: "nobody")
-        path = forged(tmp_path, draft, monkeypatch)
-    with pytest.raises(StoreError, match="'nobody' is not the name of a record"):
-        import_records(local, path, "A", "merge")
-
-
 def test_a_record_that_no_piga_wrote(tmp_path: Path, local: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     original = documents_module.encode
 

@@ -171,20 +171,15 @@ class Store(Database):
         with self.writing() as rows:
             head = rows.head()
             place = Position(new_id(), head.number + 1, _identity(rows).store, head.sha256)
-            document = self._document(rows, place, make(place))
-            entry = self.insert(rows, encode(document))
-            return Record(entry.number, sha256(entry.link), decode(entry.link, Link, LINK, "link"), document)
+            return self.insert(rows, self._document(rows, place, make(place)))
 
-    def insert(
-        self, rows: Rows, document: bytes, link: bytes | None = None, taken_over: TakenOver | None = None
-    ) -> Entry:
-        """Append a record document whose files are stored: with a new link, or with the given link unchanged."""
-        head = rows.head()
-        if link is None:
-            link = encode(Link(LINK, head.number + 1, head.sha256, sha256(document), now(), taken_over))
-        entry = Entry(head.number + 1, link, document)
-        rows.add(entry, decode(document, RecordDocument, RECORD, "record"))
-        return entry
+    def insert(self, rows: Rows, document: RecordDocument, taken_over: TakenOver | None = None) -> Record:
+        """Append a record whose files are stored, with a new link."""
+        head, raw = rows.head(), encode(document)
+        link = Link(LINK, head.number + 1, head.sha256, sha256(raw), now(), taken_over)
+        entry = Entry(link.number, encode(link), raw)
+        rows.add(entry, document)
+        return Record(link.number, sha256(entry.link), link, document)
 
     def _document(self, rows: Rows, place: Position, draft: Draft) -> RecordDocument:
         files = []

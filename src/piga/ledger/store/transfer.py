@@ -443,14 +443,23 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
         added = []
         with store.writing() as rows:
             for entry in export.entries():
-                if entry.document is None or _has(rows, entry.document):
+                if entry.document is None:
                     continue
+                document = decode(entry.document, RecordDocument, RECORD, "record")
+                there = rows.find(ENTRY.c.id == document.id)
+                if there is not None and entry_of(there).document != entry.document:
+                    raise StoreError(
+                        f"record {document.id} is in the store already, with other content",
+                        remedy="one of the two was changed: run piga records verify on both",
+                    )
+                if there is not None:
+                    continue
+                _copy_files(rows, export, document)
+                _refuse_unfit(store, rows, entry.document, document, export.name)
                 link = decode(entry.link, Link, LINK, f"link {entry.number}")
                 origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
-                document = _copy_files(rows, export, entry.document)
-                _refuse_unfit(store, rows, entry.document, document, export.name)
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
-                store.insert(rows, entry.document, taken_over=taken_over)
+                store.insert(rows, document, taken_over)
                 added.append(document.id)
         return added
 
@@ -495,7 +504,9 @@ def restore(source: Path, target: str | Path) -> Verification:
                         f"the export lacks record {entry.number}",
                         remedy="restore from a backup, or import what is there",
                     )
-                rows.add(entry, _copy_files(rows, export, entry.document))
+                document = decode(entry.document, RecordDocument, RECORD, "record")
+                _copy_files(rows, export, document)
+                rows.add(entry, document)
             check_chain(result, rows)
             result.require_sound(result.name)
 
@@ -508,19 +519,6 @@ def restore(source: Path, target: str | Path) -> Verification:
     return result
 
 
-def _copy_files(rows: Rows, origin: _Source, raw: bytes) -> RecordDocument:
-    document = decode(raw, RecordDocument, RECORD, "record")
+def _copy_files(rows: Rows, export: Export, document: RecordDocument) -> None:
     for file in document.files:
-        rows.add_file(file.sha256, file.size, origin.file(file.sha256))
-    return document
-
-
-def _has(rows: Rows, raw: bytes) -> bool:
-    document = decode(raw, RecordDocument, RECORD, "record")
-    there = rows.find(ENTRY.c.id == document.id)
-    if there is not None and entry_of(there).document != raw:
-        raise StoreError(
-            f"record {document.id} is in the store already, with other content",
-            remedy="one of the two was changed: run piga records verify on both",
-        )
-    return there is not None
+        rows.add_file(file.sha256, file.size, export.file(file.sha256))
