@@ -39,8 +39,8 @@ from piga.records.calibration.document import (
     calibration_to_bytes,
     to_document,
 )
-from piga.records.text_files import read_whole
 from piga.records.run_file import read_run_file
+from piga.records.text_files import read_whole
 from piga.results import Result
 from piga.units import numbers_are_si
 
