@@ -131,6 +131,8 @@ def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: Compensat
 # --- figures --------------------------------------------------------------------------------
 
 TIME = "time since the first row [s]"
+COMPARED_ROWS = 1 << 24
+"""Most rows of a record that is compared with its reference: it takes eight columns of memory."""
 
 
 def compensation_errors(record: Run, dv: Array, scale_factor: float) -> tuple[Array, Array]:
@@ -329,12 +331,16 @@ def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
 
 
 def _reference(outline: CompensationOutline) -> Section:
+    title, anchor = "Against the reference", "reference"
+    if outline.t.size > COMPARED_ROWS:
+        words = f"The error against the reference is shown for records of at most {count(COMPARED_ROWS)} rows."
+        return Section(title, anchor, (Notice("info", words),))
     lead = (
         "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
         "these are the errors against it; they hold the errors of that reference, too."
     )
     drawn = error_figure(outline.records[0], outline.result.dv, scale_factor(outline.calibrations[0]))
-    return Section("Against the reference", "reference", (lead, drawn))
+    return Section(title, anchor, (lead, drawn))
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:

@@ -24,14 +24,14 @@ from piga.records.calibration.diagnostics import Residuals
 from piga.records.calibration.verdict import COUNTED
 from piga.records.terms import shown_output
 from piga.reports.calibration.tables import residual_quantity, scale_factor
-from piga.reports.render.figure import POINTS, Axis, Figure, Plot, Role
+from piga.reports.render.figure import POINTS, Axis, Figure, Plot, Role, envelope_rows
 from piga.results import Array
 from piga.units import ARCSEC, G0, MICRO_G
 
 _LAGS = 40
 """Lags of the autocorrelation."""
-_SHOWN = 1 << 20
-"""Samples that figures of noise and revolution orders work on at most."""
+_SHOWN, _OUTLINE = 1 << 20, 50_000
+"""Samples that figures work on at most, and points of the residuals of a longer record."""
 BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
 """Why a line stands in the spectrum of a counted output."""
 _COUNTED_NOTE = (
@@ -62,6 +62,15 @@ def figures_of(cal: Calibration) -> dict[str, Callable[[], Figure | None]]:
     if not cal.direct:
         made |= {"orders": partial(_order_figure, cal, angles), "ripple": partial(_ripple_figure, cal, angles)}
     return made
+
+
+def outline(residuals: Residuals) -> Residuals:
+    """Rows that keep the envelope of the residuals against time; all of a short record."""
+    if residuals.t.size <= _SHOWN:
+        return residuals
+    ends = [row for part in segment_slices(residuals.segment) for row in (part.start, part.stop - 1)]
+    drawn = [envelope_rows(values, _OUTLINE) for values in (residuals.before, residuals.after)]
+    return _rows_of(residuals, np.unique(np.concatenate([ends, *drawn])))
 
 
 def _leading_part(residuals: Residuals) -> Residuals:
@@ -120,6 +129,7 @@ def _draw_residuals(
     plot: Plot, name: str, residuals: Residuals, quantity: tuple[str, str], per: float
 ) -> Iterator[str]:
     """Draw before and after, broken between segments and at holes of more than ten usual steps. Yields a note on a long record."""
+    residuals = outline(residuals)
     t = elapsed_time(residuals)
     unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
     single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size

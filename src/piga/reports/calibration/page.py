@@ -19,6 +19,7 @@ from piga.reports.calibration.figures import (
     calibration_figures,
     elapsed_time,
     figures_of,
+    outline,
     residual_figure,
 )
 from piga.reports.calibration.tables import facts_table, residual_quantity
@@ -115,7 +116,7 @@ def _subtitle(cal: Calibration) -> str:
     parts = "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
     seconds = math.fsum(segment.duration for segment in cal.segments)
     if not cal.segments and cal.residuals is not None and cal.residuals.t.size:
-        seconds = float(elapsed_time(cal.residuals)[-1])
+        seconds = float(elapsed_time(outline(cal.residuals))[-1])
     phases = "" if cal.direct else f", phases {cal.phases}"
     return (
         f"{', '.join(data) or 'a record in memory'}: {runs}{parts}, {duration(seconds)}, "
