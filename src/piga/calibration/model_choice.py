@@ -24,7 +24,7 @@ from piga.calibration.merged import MergedRuns, RunTriangles, Wish
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.request import Request, check_servo, make_request
 from piga.calibration.model.solution import Estimate
 from piga.calibration.summary import prepare
 from piga.calibration.weights import Positions, reduce_between
@@ -345,7 +345,7 @@ class UnionReduction:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
         runs = MergedRuns.of(Wish.of_one(terms), [self.summary])
         try:
-            _refuse_servo_alone(terms)
+            check_servo(replace(self.fit.design.request, terms=terms))
             state, _, estimate = runs.solved()
             coefficients, alike = self._named(runs, estimate)
         except (CalibrationError, IdentifiabilityError) as error:
@@ -376,14 +376,6 @@ class UnionReduction:
         spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
         refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
         return named, tuple(alike_in_words(named, covariance))
-
-
-def _refuse_servo_alone(terms: tuple[str, ...]) -> None:
-    """Raise if terms of the servo are requested without the coupling, whose phase they need."""
-    if set(SERVO_TERMS) & set(terms) and "tan_beta" not in terms:
-        raise CalibrationError(
-            "the terms of the servo need the phase of tan_beta", remedy="add 'tan_beta' to the terms"
-        )
 
 
 def _least(values: Iterable[float | None]) -> int | None:

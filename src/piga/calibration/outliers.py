@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from piga._kernels.estimation import merge_rows, scan_samples
 from piga.calibration.model.design import Design, joined_rows
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import layout_of, merged_groups, solve_parts
+from piga.calibration.model.solution import Layout, merged_groups, solve_parts
 from piga.calibration.weights import Noise, Whitener, residual_increments
 from piga.errors import DataError
 from piga.records.arrays import largest_size
@@ -201,7 +201,9 @@ def _weighted(design: Design, parts: list[tuple[int, Array]], weights: list[Arra
         used = weight > 0.0
         summaries[segment].absorb(np.ascontiguousarray(columns[:, used] * weight[used]))
     groups = merged_groups(summaries, design.groups)
-    layout = layout_of(design, len(groups))
+    layout = Layout.of_one(
+        "p" in design.local_names, design.request.harmonics, design.shared_names, len(groups)
+    )
     estimate = solve_parts(layout, groups)
     phases = estimate.phases if layout.coupled else np.zeros(len(groups))
     return np.array([layout.linear(estimate.amplitudes, phases[g], g) for g in design.groups])

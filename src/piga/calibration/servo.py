@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Design, Names, ServoState
+from piga.calibration.model.design import PHASELESS, STIFFNESS_COLUMNS, Names, ServoState
 from piga.calibration.model.identifiability import examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Estimate, Layout, solve_parts
@@ -194,14 +194,6 @@ def _without_servo(layout: Layout) -> Layout:
         np.array([number[int(i)] for i in tail if int(i) in number], dtype=np.int64) for tail in layout.tails
     )
     return replace(layout, keys=tuple(layout.keys[i] for i in kept), tails=tails)
-
-
-def with_mean_servo(design: Design) -> Design:
-    """The design with only the mean of a known stiffness of the servo, for a record without a phase."""
-    if not design.turning_servo:
-        return design
-    stiffness = design.known_servo.get("servo", 0.0)
-    return design.with_servo(ServoState((0.0,) * len(design.run.labels), stiffness, 0.0, 0.0, turning=False))
 
 
 def state_of(

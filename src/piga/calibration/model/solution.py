@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.errors import CalibrationError
 from piga.records.calibration.coefficient import Coefficient
@@ -146,15 +145,6 @@ class Layout:
         local: tuple[str, ...] = ("p", "q") if self.coupled else ()
         local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
-
-
-def layout_of(design: Design, groups: int | None = None) -> Layout:
-    """The layout of one run: every shared column is one parameter in all groups.
-
-    ``groups`` is the number of phase groups; default: that of the design.
-    """
-    count = len(set(design.groups)) if groups is None else groups
-    return Layout.of_one("p" in design.local_names, design.request.harmonics, design.shared_names, count)
 
 
 @dataclass(frozen=True)
