@@ -228,28 +228,6 @@ def test_kills_in_a_folder(tmp_path: Path, kills: int) -> None:
     assert not list(tmp_path.glob(".*")) + list(out.glob(".piga-stage*"))
 
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
-SCENARIO = EXAMPLES / "dividing-head.toml"
-
-
-def test_an_edited_run_file_is_not_simulated_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    """The README says to edit it."""
-    scenario, out = tmp_path / "s.toml", tmp_path / "out"
-    scenario.write_text(SCENARIO.read_text())
-    out.mkdir()
-    (out / "run.toml").write_text("mine")
-    code, said, _ = outcome(capsys, "simulate", scenario, "--out", out)
-    assert code == 0
-    assert f"wrote {out / '2' / 'run.toml'}" in said
-    assert (out / "run.toml").read_text() == "mine"
-    (tmp_path / "run.toml").write_text(SCENARIO.read_text())
-    code, _, said = outcome(capsys, "simulate", tmp_path / "run.toml", "--out", tmp_path, "--force")
-    assert code == 2
-    assert "is the input" in said
-
-
 @pytest.mark.parametrize("name", ["a" * 251 + ".csv", "长" * 83 + ".csv", "a." + "b" * 250])
 def test_names_as_long_as_a_file_system_takes(tmp_path: Path, name: str) -> None:
     output.write_whole(tmp_path / name, lambda path: path.write_text("x"))

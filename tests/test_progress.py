@@ -30,19 +30,6 @@ def goes_up(steps) -> bool:
     return done == sorted(done) and len({step[1] for step in steps}) == 1 and done[-1] == steps[-1][1]
 
 
-def test_an_error_of_the_callers_function_reaches_the_caller(run, cal):
-    def interrupted(*_: object) -> bool:
-        raise KeyboardInterrupt
-
-    for call in (
-        lambda p: piga.calibrate(run, TERMS, progress=p),
-        lambda p: piga.compensate(run, cal, progress=p),
-    ):
-        with pytest.raises(KeyboardInterrupt):
-            call(interrupted)
-    assert piga.calibrate(run, TERMS)["k0"] == cal["k0"]
-
-
 def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
     from piga.earth import Site
     from piga.instrument import Electronics

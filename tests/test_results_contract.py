@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import polars as pl
 import pytest
 from matplotlib.figure import Figure as Canvas
 
 import piga
-from piga.results import Result, Tabular
+from piga.results import Result
 from piga.studies import capstone
 from tests.planning.cases import request
 from tests.short_record import SCALE, pickled
@@ -163,14 +161,3 @@ def labelled(figure: Canvas) -> None:
     for axes in figure.axes:
         assert axes.get_xlabel()
         assert axes.get_ylabel()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_table_goes_to_polars_and_pandas_and_back(samples, name):
-    value = samples[name]
-    if not isinstance(value, Tabular):
-        return
-    arrow = value.to_arrow()
-    assert pl.DataFrame(arrow).shape == pd.DataFrame(value.to_dataframe()).shape == arrow.shape
-    assert pl.DataFrame(arrow).to_arrow().num_rows == arrow.num_rows
-    assert hasattr(value, "__arrow_c_stream__")

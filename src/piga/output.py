@@ -126,7 +126,7 @@ def _sync(path: Path) -> None:
 
 
 def _free_folder(
-    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool, option: str
+    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
 ) -> Path:
     """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
 
@@ -136,17 +136,17 @@ def _free_folder(
     sources, number, place = [path for path in inputs if path.exists()], 1, folder
     while True:
         if place.exists() and not place.is_dir():
-            raise ArgumentError(f"{place}: is a file", remedy=f"choose another {option}")
+            raise ArgumentError(f"{place}: is a file", remedy="choose another folder")
         there = _matching(place, names)
         for path in there:
             if path.is_dir() and not path.is_symlink():
-                raise _folder_in_the_way(path, option)
+                raise _folder_in_the_way(path)
         written = [path for path in there if path.exists()]
         same = next(((path, source) for path in written for source in sources if path.samefile(source)), None)
         if force and same is not None:
             raise ArgumentError(
                 f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
-                remedy=f"choose another {option}, or leave --force out",
+                remedy="choose another name or folder, or leave --force out",
             )
         mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
@@ -154,8 +154,8 @@ def _free_folder(
         number, place = number + 1, folder / str(number + 1)
 
 
-def _folder_in_the_way(path: Path, option: str) -> ArgumentError:
-    remedy = f"move it away, or choose another {option}"
+def _folder_in_the_way(path: Path) -> ArgumentError:
+    remedy = "move it away, or choose another name or folder"
     return ArgumentError(f"{path}: is a folder where a result goes", remedy=remedy)
 
 
@@ -192,21 +192,15 @@ def _state(path: Path) -> list[int]:
 
 @contextmanager
 def results(
-    folder: Path,
-    command: str,
-    names: Sequence[str],
-    inputs: Sequence[Path],
-    *,
-    force: bool = False,
-    option: str = "--out",
+    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool = False
 ) -> Iterator[tuple[Path, Path]]:
     """A hidden folder to fill with the results of one run, and the folder in which they appear at the end, or nothing does.
 
     That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other ``inputs``; with
     ``force`` they are replaced, but never an input. ``names`` are patterns of all results of the ``command``; older files with
-    such names are removed. ``option`` names ``folder`` in messages.
+    such names are removed.
     """
-    folder = _free_folder(folder, command, names, inputs, force=force, option=option)
+    folder = _free_folder(folder, command, names, inputs, force=force)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(OSError), _locked(folder.parent):  # a folder that cannot be listed
@@ -217,7 +211,7 @@ def results(
             yield stage, folder
             mark = _finish(stage, command, _key(command, inputs))
             if folder.is_dir():
-                _move(stage, folder, command, names, mark, option)
+                _move(stage, folder, command, names, mark)
             else:
                 stage.rename(folder)
                 _sync(folder.parent)
@@ -227,11 +221,6 @@ def results(
             left = "results of two runs; run the command again with --force"
         stop.add_note(f"{folder}: {left}")
         raise
-    except OSError as error:
-        raise PigaError(
-            f"{option} {folder}: cannot be written ({error.strerror or error})",
-            remedy="name a directory you may write to, with room",
-        ) from None
 
 
 def check_results(folder: Path) -> None:
@@ -263,13 +252,13 @@ def _finish(stage: Path, command: str, key: str) -> Path:
     return mark
 
 
-def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path, option: str) -> None:
+def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: Path) -> None:
     """Move results into a folder that exists, in place of older ones, between two marks."""
     files = [path for path in stage.rglob("*") if path.is_file() and path != mark]
     targets = [folder / path.relative_to(stage) for path in files]
     for target in targets:
         if target.is_dir() or target.parent.is_symlink():
-            raise _folder_in_the_way(target, option)
+            raise _folder_in_the_way(target)
     moving = folder / f"{_MOVING}{command}"
     with _locked(folder):
         moving.touch()

@@ -89,11 +89,6 @@ REFUSED = {
     "two of a name": (SMALL.replace('"walk"', '"white"'), "two cases have the name 'white'"),
     "nothing": ("[campaign]\n", "there is nothing to compute"),
     "no TOML": ("[campaign", "not valid TOML"),
-    "archive": ('[archive]\nruns = "*.toml"\n', "with: piga records reproduce"),
-    "constant forces": (
-        '[[case]]\nname = "a"\n[case.constant_force]\nterms = []\n',
-        "a scenario file of 'piga simulate'",
-    ),
 }
 
 

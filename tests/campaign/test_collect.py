@@ -2,13 +2,13 @@
 
 import json
 import math
-from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from piga.campaign import collect, document, open_campaign, plan_campaign
-from piga.campaign.collect import CampaignCoefficient, _misses, _share_error
+from piga.campaign.collect import CampaignCoefficient, _misses
 from piga.cli.main import app
 from piga.errors import PigaError
 from tests.campaign.small import SMALL, collected, computed, rows, written
@@ -71,10 +71,13 @@ def test_figures_are_those_of_the_rows(small):
 def test_every_quantity_that_misses_its_target_is_named(small, share, bias, named):
     group = collect(open_campaign(small)).groups[0]
     c = CampaignCoefficient(
-        "phi", "rad", 200, 0.0, 1.0, -1.0, 1.0, coverage=share, coverage_std_error=_share_error(180, 200),
+        "phi", "rad", 200, 0.0, 1.0, -1.0, 1.0, coverage=share, coverage_std_error=0.021,
         bias=bias, bias_std_error=1.0 / math.sqrt(200), bias_over_sigma=bias, spread=1.0,
     )  # fmt: skip
-    misses = {miss.what: miss.standard_errors for miss in _misses((replace(group, coefficients=(c,)),))}
+    misses = {
+        miss.what: miss.standard_errors
+        for miss in _misses((msgspec.structs.replace(group, coefficients=(c,)),))
+    }
     assert misses == pytest.approx(named, abs=1e-4)
 
 

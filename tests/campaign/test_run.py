@@ -161,44 +161,27 @@ def test_options(tmp_path, options, words):
         run_campaign(plan_campaign(written(tmp_path), tmp_path / "o"), **options)
 
 
-class Cluster:
-    """A scheduler and two workers as processes of their own, behind TLS; ``tls`` has certificate and key."""
-
-    def __init__(self, folder, tls):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        prefix = "DASK_DISTRIBUTED__COMM__"
-        self.variables = {f"{prefix}TLS__CA_FILE": str(tls / "cert.pem"), f"{prefix}REQUIRE_ENCRYPTION": "True"}
-        for who in ("SCHEDULER", "WORKER", "CLIENT"):
-            self.variables |= {
-                f"{prefix}TLS__{who}__CERT": str(tls / "cert.pem"),
-                f"{prefix}TLS__{who}__KEY": str(tls / "key.pem"),
-            }
-        self.folder, self.address, self.workers = folder, f"dask://127.0.0.1:{self.port}", []
-
-    def _start(self, *words):
-        env = os.environ | {"PYTHONPATH": str(ROOT / "src"), "OPENBLAS_NUM_THREADS": "1"} | self.variables
-        program = [sys.executable, "-m", "dask", *words, "--no-dashboard", "--host", "tls://127.0.0.1"]
-        with (self.folder / f"{words[0]}.log").open("a") as log:
-            return subprocess.Popen(
-                program, env=env, cwd=self.folder, stdout=log, stderr=log, start_new_session=True
-            )
-
-    def start_worker(self):
-        where = f"tls://127.0.0.1:{self.port}"
-        self.workers.append(
-            self._start("worker", where, "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
-        )
-
-    def __enter__(self):
-        self.scheduler = self._start("scheduler", "--port", str(self.port), "--no-show")
-        self.start_worker()
-        self.start_worker()
-        return self
-
-    def __exit__(self, *error):
-        for process in (self.scheduler, *self.workers):
+@contextlib.contextmanager
+def cluster(folder, tls):
+    """A scheduler and two workers behind TLS (``tls`` has certificate and key): address, variables, and the scheduler."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"127.0.0.1:{free.getsockname()[1]}"
+    dask = "DASK_DISTRIBUTED__COMM__"
+    variables = {f"{dask}TLS__CA_FILE": str(tls / "cert.pem"), f"{dask}REQUIRE_ENCRYPTION": "True"}
+    for who in ("SCHEDULER", "WORKER", "CLIENT"):
+        variables |= {f"{dask}TLS__{who}__{kind.upper()}": str(tls / f"{kind}.pem") for kind in ("cert", "key")}
+    worker = ("worker", f"tls://{where}", "--nthreads", "1", "--no-nanny", "--death-timeout", "60")
+    processes = []
+    try:
+        for words in (("scheduler", "--port", where.partition(":")[2], "--no-show"), worker, worker):
+            program = [sys.executable, "-m", "dask", *words, "--no-dashboard", "--host", "tls://127.0.0.1"]
+            env = os.environ | {"PYTHONPATH": str(ROOT / "src"), "OPENBLAS_NUM_THREADS": "1"} | variables
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            processes.append(subprocess.Popen(program, env=env, cwd=folder, start_new_session=True, **quiet))
+        yield f"dask://{where}", variables, processes[0]
+    finally:
+        for process in processes:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
@@ -214,38 +197,25 @@ def certificate(tmp_path_factory):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "who",
-    [
-        pytest.param("worker", marks=pytest.mark.slow),
-        "parent",
-        pytest.param("scheduler", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("who", ["parent", pytest.param("scheduler", marks=pytest.mark.slow)])
 def test_a_scheduler_with_tls(tmp_path, certificate, uninterrupted, who):
     """Whoever is killed, the bits are the same; a client without the key is not let in."""
     path, out = written(tmp_path, LONG), tmp_path / "out"
     plan_campaign(path, out)
-    with Cluster(tmp_path, certificate) as cluster:
-        words = ("run", path, "--out", out, "--executor", cluster.address)
+    with cluster(tmp_path, certificate) as (address, variables, scheduler):
+        words = ("run", path, "--out", out, "--executor", address)
         if who == "parent":
-            code, _, err = call("run", path, "--out", tmp_path / "other", "--executor", cluster.address)
+            code, _, err = call("run", path, "--out", tmp_path / "other", "--executor", address)
             assert code == 2
             assert "no scheduler answers" in err
             assert "Traceback" not in err
-        process = start(*words, **cluster.variables)
+        process = start(*words, **variables)
         wait_for(process, lambda: list(out.glob("parts/part-*")))
-        if who == "worker":
-            cluster.workers[0].kill()
-            cluster.start_worker()
-        elif who == "parent":
-            process.kill()
-        elif who == "scheduler":
-            cluster.scheduler.kill()
+        (process if who == "parent" else scheduler).kill()
         _, err = process.communicate(timeout=600)
-        assert process.returncode == {"worker": 0, "parent": -9, "scheduler": 2}[who], err
+        assert process.returncode == {"parent": -9, "scheduler": 2}[who], err
         if who == "parent":
-            assert call(*words, **cluster.variables)[0] == 0
+            assert call(*words, **variables)[0] == 0
     if who == "scheduler":
         assert "give the same command: parts that are written stay" in err
         assert "Traceback" not in err.partition("piga: ")[2]

@@ -30,7 +30,7 @@ def test_folder_of_another_campaign(tmp_path):
     with pytest.raises(PigaError, match="holds another campaign"):
         plan_campaign(changed, tmp_path / "out")
     (tmp_path / "file").write_text("x")
-    with pytest.raises(PigaError, match="is a file"):
+    with pytest.raises(NotADirectoryError):
         plan_campaign(changed, tmp_path / "file")
 
 

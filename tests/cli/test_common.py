@@ -1,16 +1,26 @@
-"""Output of commands: terminals that lack characters, closed and full ends, results by rename."""
+"""Output of commands: terminals that lack characters, closed and full ends; progress and stops; help without heavy imports."""
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 
+import piga._kernels.jit  # noqa: F401
 from piga.cli import common
+from piga.cli.common import progress
+from piga.cli.main import app
+from piga.data import copy_example
+from piga.progress import FIRST_USE
+from tests.cli.runner import ENVIRONMENT, on_terminal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
 
@@ -84,3 +94,89 @@ def test_control_sequences_do_not_reach_the_terminal(capsys: pytest.CaptureFixtu
     captured = capsys.readouterr()
     assert captured.out == "a?[31mb\n"
     assert captured.err == "c?d\n"
+
+
+STOPPED = (130, -signal.SIGINT)
+"""Exit by a stop. Python ends itself with the signal if the stop came while it made a class; shells show 130 for both."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> None:
+    run = copy_example(tmp_path)
+    text, code = on_terminal(["calibrate", run], "calibrating")
+    assert "reading" in text
+    assert code in STOPPED, text
+    assert "piga: stopped while calibrating" in text
+    left = f"{tmp_path / 'tumble-a-calibration'}: not made; nothing of this run was kept"
+    assert left in " ".join(text.split())
+    assert "Traceback" not in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tumble-a.csv", "tumble-a.toml"]
+
+
+def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
+    run = copy_example(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "piga", "check", str(run)],
+        capture_output=True,
+        text=True,
+        env=ENVIRONMENT,
+        check=True,
+    )
+    assert done.stderr == ""
+
+
+@pytest.mark.long
+def test_first_use_is_said_once_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("calibrating"):
+        for more in (1, 2):
+            numba.njit(lambda x, more=more: x + more)(1)
+    assert capsys.readouterr().err.splitlines() == [f"calibrating; {FIRST_USE}"]
+
+
+HEAVY = {
+    "numpy",
+    "numba",
+    "scipy",
+    "pyarrow",
+    "matplotlib",
+    "jinja2",
+    "sqlalchemy",
+    "sqlite3",
+    "lxml",
+    "pydantic",
+    "rich",
+}
+EACH = f"""
+import sys
+from piga.cli.main import main
+for words in {{commands}}:
+    sys.argv = ["piga", *words, "--help"]
+    try:
+        main()
+    except SystemExit as done:
+        assert done.code == 0, words
+    loaded = {HEAVY} & set(sys.modules)
+    assert not loaded, (words, loaded)
+"""
+
+
+def commands(group: TyperGroup, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Words of the group and of every command in it."""
+    result = [before]
+    for name, command in group.commands.items():
+        words = (*before, name)
+        result += commands(command, words) if isinstance(command, TyperGroup) else [words]
+    return result
+
+
+def test_help_of_every_command_loads_nothing_heavy() -> None:
+    """One process, which fails if a command loads something heavy."""
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    every = commands(group)
+    assert {("calibrate",), ("records", "trend"), ("certificate", "issue")} <= set(every)
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
+    code = [sys.executable, "-c", EACH.replace("{commands}", repr(every))]
+    said = subprocess.run(code, capture_output=True, text=True, check=False, env=plain)
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.count("Usage: ") == len(every)

@@ -48,17 +48,17 @@ def log(path: Path, *names: list[str]) -> Path:
 def test_a_column_is_told_on_the_command_line(tmp_path: Path, kind: str) -> None:
     path = log(tmp_path / f"log.{kind}", ["Zeit", "Zähler", "Kanal 4", "Kanal 5"])
     options = [part for key, value in SETTINGS.items() for part in ("--set", f"{key}={value}")]
-    done = invoked("init", path, "--yes", *options)
+    done = invoked("init", path, *options)
     assert "Not understood: " in done.stdout
     assert "--column '" in done.stdout
     told = ["--column", "Kanal 4=angle [deg]", "--column", "Kanal 5=temperature"]
-    done = invoked("init", path, "--yes", "--force", *options, *told)
+    done = invoked("init", path, "--force", *options, *told)
     assert "angle of the stand [deg]: as you said" in done.stdout
     assert "stand.latitude" in done.stdout
     assert "--column 'Kanal 4=angle [deg]' --column 'Kanal 5=temperature'" in done.stdout
     assert "--set stand.height='320 m'" in done.stdout
     site = ["--set", "stand.latitude=52 deg", "--set", "stand.height=80 m"]
-    done = invoked("init", path, "--yes", "--force", *options, *told, *site)
+    done = invoked("init", path, "--force", *options, *told, *site)
     assert done.exit_code == 0
     document = tomllib.loads((tmp_path / "log.toml").read_text(encoding="utf-8"))
     assert document["data"]["segment"]["holds_of"].endswith("Kanal 4")
@@ -125,9 +125,7 @@ def test_names_over_two_rows_are_joined(tmp_path: Path, kind: str) -> None:
         described = describe_log(path)
         assert [one.name for one in described.of("force")] == ["Kraft X", "Kraft Y", "Kraft Z"]
         assert [one.name for one in described.of("temperature")] == ["Temperatur"]
-        done = invoked(
-            "init", path, "--yes", *[part for k, v in SETTINGS.items() for part in ("--set", f"{k}={v}")]
-        )
+        done = invoked("init", path, *[part for k, v in SETTINGS.items() for part in ("--set", f"{k}={v}")])
         assert "It reads 360 of 360 rows" in done.stdout, done.stdout
         run = piga.read_run(path.with_suffix(".toml"))
         assert run.f[:, 0] == pytest.approx(rows[:, 2] * 9.80665, rel=1e-5, abs=1e-5)

@@ -28,7 +28,7 @@ methods
 check --explain data.time
 examples
 demo --out lab
-init lab/tumble-a.csv --yes --out drafted.toml
+init lab/tumble-a.csv --out drafted.toml
 check lab/tumble-a.toml --terms
 calibrate lab/tumble-a.toml --no-report --out c
 calibrate lab/tumble-a.toml --no-report --phases per-segment --terms scale_factor,tan_beta,k0 --out c2
@@ -43,7 +43,8 @@ campaign status many
 campaign collect many
 campaign repeat small.toml --case 0 --repeat 1 --out again
 records add lab/tumble-a.toml --store s.sqlite --operator A --reason B
-records add lab/tumble-a.toml --store s.sqlite --operator A --reason B --terms scale_factor,k0 --measured 2026-11-20 --supersedes 1
+calibrate lab/tumble-a.toml --terms scale_factor,k0 --out fewer
+records add lab/tumble-a.toml --results fewer --store s.sqlite --operator A --reason B --measured 2026-11-20 --supersedes 1
 records list --store s.sqlite
 records show 1 --store s.sqlite
 records diff 1 2 --store s.sqlite

@@ -106,14 +106,18 @@ class CampaignGroup:
     @property
     def label(self) -> str:
         """Name and point of the grid in words."""
-        point = ", ".join(f"{key} = {shown(value)}" for key, value in self.set.items())
-        return f"{self.name}: {point}" if self.name and point else self.name or point or "all records"
+        return label(self.name, self.set)
 
 
-def shown(value: Any) -> str:
-    """A value of a grid, as text."""
+def label(name: str, point: Mapping[str, Any]) -> str:
+    """Name of a case and point of the grid in words."""
+    words = ", ".join(f"{key} = {_shown(value)}" for key, value in point.items())
+    return f"{name}: {words}" if name and words else name or words or "all records"
+
+
+def _shown(value: Any) -> str:
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(shown(part) for part in value)}]"
+        return f"[{', '.join(map(_shown, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -202,14 +206,13 @@ def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
 # --- drawing -----------------------------------------------------------------------------------------
 
 
-NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
-"""Number and unit of a quantity."""
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
 
 
 def _number(value: Quantity) -> tuple[float, str]:
     if not isinstance(value, str):
         return float(value), ""
-    match = NUMBER.fullmatch(value)
+    match = _NUMBER.fullmatch(value)
     if match is None:
         raise ValueError(f"'{value}' does not begin with a number")
     return float(match[1]), match[2].strip()
@@ -256,27 +259,10 @@ def read_campaign(path: str | Path) -> CampaignPlan:
     """
     path = Path(path)
     texts = {"": toml_bytes(path)}
-    _check_gone(path, toml_document(path, texts[""]))
     file = read_toml(path, CampaignFile, texts[""])
     for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
         texts[name] = toml_bytes(path.parent / name)
     return plan_of(path, texts)
-
-
-def _check_gone(path: Path, document: Mapping[str, Any]) -> None:
-    """Name what takes the place of tables that earlier versions had."""
-    if "archive" in document:
-        raise RunFileError(
-            f"{path}: [archive] is no longer a campaign",
-            remedy="calibrate the records of a store again with: piga records reproduce --store FILE",
-        )
-    if any(
-        {"constant_force", "joint"} & set(case) for case in document.get("case", ()) if isinstance(case, dict)
-    ):
-        raise RunFileError(
-            f"{path}: [case.constant_force] is gone",
-            remedy="describe the test in a scenario file of 'piga simulate' and name it: scenario = 'FILE.toml'",
-        )
 
 
 def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:

@@ -1,24 +1,24 @@
-"""Collect a campaign: read all parts as one Arrow table, in the order of the records, and judge them with PyArrow.
+"""Collect a campaign: read all parts in the order of the records, and judge them.
 
-The table does not depend on the shards, the workers and the interruptions, and neither does the result, to the bit.
+The result does not depend on the shards, the workers and the interruptions, to the bit.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import shlex
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from piga.campaign.campaign_file import CampaignGroup, RecordName
+from piga.campaign.campaign_file import label
 from piga.campaign.shards import Campaign, read_part
 from piga.errors import PigaError
-from piga.results import Array, finite
+from piga.results import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,8 +39,7 @@ EDGES = np.linspace(-5.0, 5.0, 41)
 """Edges of the histogram of errors over standard uncertainties; values beyond are counted in the outer bins."""
 
 
-@dataclass(frozen=True)
-class CampaignCoefficient:
+class CampaignCoefficient(msgspec.Struct, frozen=True):
     """The figures of one coefficient or quantity in one group; what is not known is None.
 
     ``coverage_std_error`` is that of a binomial share. ``bias`` is the mean error, ``spread`` the standard deviation of the errors,
@@ -83,8 +82,7 @@ class CampaignCoefficient:
         return self.bias / self.bias_std_error if self.bias is not None and self.bias_std_error else 0.0
 
 
-@dataclass(frozen=True)
-class Miss:
+class Miss(msgspec.Struct, frozen=True):
     """A quantity away from its target: ``what`` is 'coverage' (target 0.95) or 'bias' (target 0, here over the spread)."""
 
     group: str
@@ -107,24 +105,30 @@ class Miss:
         return f"bias of {self.coefficient} of {self.group} ({self.value:+.3f} ± {self.std_error:.3f} sigma)"
 
 
-@dataclass(frozen=True)
-class GroupResult:
+class GroupResult(msgspec.Struct, frozen=True):
     """The results of one group: figures by coefficient, records that failed by class, NEES of all coefficients together.
 
     ``seen`` is the share of the records whose calibration reports a kind of noise, suggests a term, or doubts the noise.
     """
 
-    group: CampaignGroup
+    name: str
+    set: dict[str, Any]
+    subject: str
+    planned: int
     records: int
     failed: dict[str, int]
-    coefficients: tuple[CampaignCoefficient, ...]
     nees: float | None
     nees_expected: float | None
     seen: dict[str, float]
+    coefficients: tuple[CampaignCoefficient, ...]
+
+    @property
+    def label(self) -> str:
+        """Name and point of the grid in words."""
+        return label(self.name, self.set)
 
 
-@dataclass(frozen=True)
-class _WorstCase:
+class _WorstCase(msgspec.Struct, frozen=True):
     """A coefficient of one record far from its truth: error over standard uncertainty, and the command that repeats it."""
 
     record: int
@@ -136,8 +140,7 @@ class _WorstCase:
     command: str
 
 
-@dataclass(frozen=True)
-class _Failure:
+class _Failure(msgspec.Struct, frozen=True):
     """A class of failures: how many records, and the first of them."""
 
     error_class: str
@@ -147,33 +150,43 @@ class _Failure:
     command: str
 
 
-@dataclass(frozen=True)
-class Collected:
+class Collected(msgspec.Struct, frozen=True):
     """A whole campaign, judged. ``errors`` is the histogram of all errors over standard uncertainties, at ``EDGES``."""
 
+    schema: str
+    campaign: str
     title: str
-    file: str
     version: str
     seed: int
     records: int
     computed: int
-    shards: int
+    failed: int
+    complete: bool
     missing: tuple[int, ...]
     groups: tuple[GroupResult, ...]
     misses: tuple[Miss, ...]
-    errors: tuple[int, ...]
     worst: tuple[_WorstCase, ...]
     failures: tuple[_Failure, ...]
+    shards: int
+    errors: tuple[int, ...]
 
-    @property
-    def failed(self) -> int:
-        """Records that failed."""
-        return sum(failure.records for failure in self.failures)
 
-    @property
-    def complete(self) -> bool:
-        """True if every shard has its part."""
-        return not self.missing
+COLLECTED = "piga.campaign.collected/2"
+
+
+def document(collected: Collected) -> dict[str, Any]:
+    """The JSON document of ``piga campaign collect``."""
+    entry: dict[str, Any] = msgspec.to_builtins(collected)
+    return {name: value for name, value in entry.items() if name not in ("shards", "errors")}
+
+
+def write_table(collected: Collected, path: Path) -> None:
+    """Write one row per group and coefficient as CSV."""
+    rows = [{"group": g.label} | msgspec.to_builtins(c) for g in collected.groups for c in g.coefficients]
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]) if rows else ["group"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def collect(campaign: Campaign) -> Collected:
@@ -184,41 +197,36 @@ def collect(campaign: Campaign) -> Collected:
     PigaError
         If a part is damaged or belongs to another campaign or shard, or if there are no parts.
     """
-    from piga._version import __version__
-
     parts = campaign.parts()
     if not parts:
         raise PigaError(f"{campaign.folder}: has no results yet", remedy="compute them with: piga campaign run")
     heads, rows = read_rows(campaign, parts)
-    plan, manifest = campaign.plan, campaign.manifest
-    groups = tuple(_group_results(campaign, heads, rows))
+    plan, manifest, missing = campaign.plan, campaign.manifest, campaign.missing()
+    groups, z = _group_results(campaign, heads, rows), _numbers(rows, "z")
+    failures = _failures(campaign, heads)
+    counts = np.histogram(np.clip(z[np.isfinite(z)], EDGES[0], EDGES[-1]), EDGES)[0]
     return Collected(
+        schema=COLLECTED,
+        campaign=plan.path.name,
         title=plan.file.campaign.title or plan.path.stem,
-        file=plan.path.name,
-        version=manifest.software.get("piga", __version__),
+        version=manifest.software.get("piga", ""),
         seed=plan.seed,
-        records=manifest.records,
-        computed=heads.num_rows,
-        shards=campaign.shards,
-        missing=tuple(campaign.missing()),
+        records=plan.records,
+        computed=len(heads),
+        failed=sum(failure.records for failure in failures),
+        complete=not missing,
+        missing=tuple(missing),
         groups=groups,
         misses=_misses(groups),
-        errors=_histogram(rows),
-        worst=tuple(_worst(campaign, rows)),
-        failures=tuple(_failures(campaign, heads)),
+        worst=tuple(_worst(campaign, rows, np.where(np.isfinite(z), z, 0.0))),
+        failures=tuple(failures),
+        shards=campaign.shards,
+        errors=tuple(int(count) for count in counts),
     )
 
 
-def _repeat_command(campaign: Campaign, record: RecordName) -> str:
-    name = shlex.quote(campaign.plan.path.name)
-    return f"piga campaign repeat {name} --case {record.case} --repeat {record.repeat} --out DIR"
-
-
-# --- reading -----------------------------------------------------------------------------------------
-
-
-def read_rows(campaign: Campaign, parts: dict[int, Path]) -> tuple[pa.Table, pa.Table]:
-    """The rows of all records and those of all coefficients, each with the number of its group."""
+def read_rows(campaign: Campaign, parts: dict[int, Path]) -> tuple[list[Row], pa.Table]:
+    """The rows of all records, and the table of all coefficients, each with the number of its group."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -227,199 +235,138 @@ def read_rows(campaign: Campaign, parts: dict[int, Path]) -> tuple[pa.Table, pa.
     index = np.searchsorted(starts, table.column("record").to_numpy(), side="right") - 1
     table = table.append_column("group", pa.array(index, pa.int64()))
     is_record = pc.is_null(table.column("name"))
-    return table.filter(is_record).combine_chunks(), table.filter(pc.invert(is_record)).combine_chunks()
+    names = ["record", "group", "error_class", "error", "nees", "nees_expected", "seen", "seconds"]
+    return table.filter(is_record).select(names).to_pylist(), table.filter(pc.invert(is_record))
 
 
 def _numbers(table: pa.Table, name: str) -> Array:
     return table.column(name).to_numpy().astype(float)
 
 
-def _judged(rows: pa.Table) -> pa.Table:
-    """The rows with the columns that are averaged; empty where something is not known."""
-    import pyarrow as pa
-
-    z, off, low, high = (_numbers(rows, name) for name in ("z", "deviation", "low", "high"))
-    degrees, bound, u = (_numbers(rows, name) for name in ("degrees_of_freedom", "bound", "u"))
-    truth, known = _numbers(rows, "value") - off, np.isfinite(off)
-    table = rows.select(["record", "group", "name", "unit", "value"])
-    with np.errstate(all="ignore"):
-        columns = {
-            "deviation": off,
-            "held": np.where(known, (low <= truth) & (truth <= high), np.nan),
-            "half": np.where(known, 0.5 * (high - low), np.nan),
-            "z2": z**2,
-            "abs_z": np.abs(z),
-            "expected": np.where(np.isfinite(z), 1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0)), np.nan),
-            "u2": u**2,
-            "bound2": bound**2,
-        }
-    for name, column in columns.items():
-        table = table.append_column(name, pa.array(column, mask=~np.isfinite(column)))
-    return table
-
-
-def _grouped(table: pa.Table, keys: list[str], wanted: list[tuple[Any, ...]]) -> list[Row]:
-    """Aggregates by key, in the order in which the keys come first; one thread, so that sums have one order."""
-    return table.group_by(keys, use_threads=False).aggregate(wanted).to_pylist()
-
-
 # --- judging -----------------------------------------------------------------------------------------
 
 
-def _group_results(campaign: Campaign, heads: pa.Table, rows: pa.Table) -> list[GroupResult]:
-    import pyarrow.compute as pc
-
-    table = _judged(rows)
-    sample = pc.VarianceOptions(ddof=1)
-    figures = _grouped(
-        table,
-        ["group", "name", "unit"],
-        [("value", "count"), ("value", "mean"), ("value", "stddev", sample), ("value", "min"), ("value", "max")]
-        + [("deviation", "count"), ("deviation", "mean"), ("deviation", "stddev", sample), ("held", "sum")]
-        + [(name, "mean") for name in ("half", "z2", "expected", "u2", "bound2")]
-        + [("abs_z", "max")],
-    )
-    seen: dict[int, Counter[str]] = {}
-    failed: dict[int, Counter[str]] = {}
-    columns = (heads.column(name).to_pylist() for name in ("group", "error_class", "seen"))
-    for group, error, names in zip(*columns, strict=True):
-        failed.setdefault(group, Counter()).update([error] if error else [])
-        seen.setdefault(group, Counter()).update(names or ())
-    wanted = [("record", "count"), ("nees", "mean"), ("nees_expected", "mean")]
-    return [
-        GroupResult(
-            group=campaign.plan.groups[index],
-            records=head["record_count"],
-            failed=dict(sorted(failed[index].items())),
-            coefficients=tuple(_coefficient(row) for row in figures if row["group"] == index),
-            nees=finite(head["nees_mean"]),
-            nees_expected=finite(head["nees_expected_mean"]),
-            seen={name: count / head["record_count"] for name, count in sorted(seen[index].items())},
+def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tuple[GroupResult, ...]:
+    of_group: dict[int, list[Row]] = {}
+    for head in heads:
+        of_group.setdefault(head["group"], []).append(head)
+    places: dict[tuple[int, str, str], list[int]] = {}
+    for at, key in enumerate(
+        zip(*(rows.column(n).to_pylist() for n in ("group", "name", "unit")), strict=True)
+    ):
+        places.setdefault(key, []).append(at)
+    names = ("value", "u", "low", "high", "degrees_of_freedom", "deviation", "z", "bound")
+    numbers = {name: _numbers(rows, name) for name in names}
+    figures: dict[int, list[CampaignCoefficient]] = {}
+    for (index, name, unit), where in places.items():
+        figure = _coefficient(name, unit, {n: column[where] for n, column in numbers.items()})
+        figures.setdefault(index, []).append(figure)
+    results = []
+    for index, mine in sorted(of_group.items()):
+        group, count = campaign.plan.groups[index], len(mine)
+        failed = Counter(head["error_class"] for head in mine if head["error_class"])
+        seen = Counter(name for head in mine for name in head["seen"] or ())
+        nees, expected = (_mean([head[n] for head in mine]) for n in ("nees", "nees_expected"))
+        results.append(
+            GroupResult(
+                name=group.name,
+                set=group.set,
+                subject=group.subject,
+                planned=group.records,
+                records=count,
+                failed=dict(sorted(failed.items())),
+                nees=nees,
+                nees_expected=expected,
+                seen={name: number / count for name, number in sorted(seen.items())},
+                coefficients=tuple(figures.get(index, ())),
+            )
         )
-        for head in sorted(_grouped(heads, ["group"], wanted), key=lambda head: head["group"])
-        for index in [head["group"]]
-    ]
+    return tuple(results)
 
 
-def _coefficient(row: Row) -> CampaignCoefficient:
-    tests, with_truth = row["value_count"], row["deviation_count"]
-    plain = {"mean": row["value_mean"], "lowest": row["value_min"], "highest": row["value_max"]}
-    std = row["value_stddev"] if tests > 1 else None
-    if not with_truth:
-        return CampaignCoefficient(row["name"], row["unit"], tests, std=std, **plain)
-    bias, spread = row["deviation_mean"], row["deviation_stddev"] if with_truth > 1 else None
-    hits, bound2 = int(row["held_sum"]), row["bound2_mean"]
+def _mean(values: Array | list[float | None]) -> float | None:
+    """Mean of what is known."""
+    given = np.array(values, dtype=float)
+    known = given[np.isfinite(given)]
+    return float(known.mean()) if known.size else None
+
+
+def _std(values: Array) -> float | None:
+    return float(values.std(ddof=1)) if values.size > 1 else None
+
+
+def _coefficient(name: str, unit: str, rows: dict[str, Array]) -> CampaignCoefficient:
+    """The figures of one coefficient from the columns of its rows."""
+    value = rows["value"]
+    plain: dict[str, Any] = {"mean": float(value.mean()), "std": _std(value)}
+    plain |= {"lowest": float(value.min()), "highest": float(value.max())}
+    known = np.isfinite(rows["deviation"])
+    if not known.any():
+        return CampaignCoefficient(name, unit, value.size, **plain)
+    off, low, high = (rows[column][known] for column in ("deviation", "low", "high"))
+    truth, tests, bias, spread = value[known] - off, off.size, float(off.mean()), _std(off)
+    hits = int(((low <= truth) & (truth <= high)).sum())
+    share = (
+        min(max(hits, 0.5), tests - 0.5) / tests
+    )  # at 0 and 1 that of half a test: the binomial error would be 0
+    half, mean_u2, mean_bound2 = _mean(0.5 * (high - low)), _mean(rows["u"] ** 2), _mean(rows["bound"] ** 2)
+    scaled = np.isfinite(rows["z"])
+    z, degrees = rows["z"][scaled], rows["degrees_of_freedom"][scaled]
     return CampaignCoefficient(
-        row["name"],
-        row["unit"],
-        tests,
-        std=std,
+        name,
+        unit,
+        value.size,
         **plain,
-        coverage=hits / with_truth,
-        coverage_std_error=_share_error(hits, with_truth),
+        coverage=hits / tests,
+        coverage_std_error=math.sqrt(share * (1.0 - share) / tests),
         bias=bias,
-        bias_std_error=None if spread is None else spread / math.sqrt(with_truth),
+        bias_std_error=None if spread is None else spread / math.sqrt(tests),
         bias_over_sigma=bias / spread if spread else None,
         spread=spread,
-        rms_u=math.sqrt(row["u2_mean"]) if row["u2_mean"] is not None else None,
-        half_width_over_sigma=row["half_mean"] / spread if spread else None,
-        variance_over_bound=spread**2 / bound2 if spread is not None and bound2 else None,
-        nees=row["z2_mean"],
-        nees_expected=row["expected_mean"],
-        largest_z=row["abs_z_max"],
+        rms_u=None if mean_u2 is None else math.sqrt(mean_u2),
+        half_width_over_sigma=half / spread if spread and half is not None else None,
+        variance_over_bound=spread**2 / mean_bound2 if spread is not None and mean_bound2 else None,
+        nees=_mean(z**2),
+        nees_expected=_mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))),
+        largest_z=float(np.abs(z).max()) if z.size else None,
     )
-
-
-def _share_error(hits: int, tests: int) -> float:
-    """Standard error of a share. At 0 and 1 it is that of half a test, because that of the binomial would be 0."""
-    share = min(max(hits, 0.5), tests - 0.5) / tests
-    return math.sqrt(share * (1.0 - share) / tests)
 
 
 def _misses(groups: tuple[GroupResult, ...]) -> tuple[Miss, ...]:
     """Every quantity away from its target by more than ``CHANCE`` standard errors, the farthest first."""
     misses = []
-    for result in groups:
-        for c in result.coefficients:
-            if abs(c.coverage_off) > CHANCE:
-                values = (c.coverage or 0.0, c.coverage_std_error or 0.0, c.coverage_off)
-                misses.append(Miss(result.group.label, c.name, "coverage", *values))
-            if abs(c.bias_off) > CHANCE:
-                values = (c.bias_over_sigma or 0.0, 1.0 / math.sqrt(c.tests), c.bias_off)
-                misses.append(Miss(result.group.label, c.name, "bias", *values))
+    for group in groups:
+        for c in group.coefficients:
+            coverage = ("coverage", c.coverage or 0.0, c.coverage_std_error or 0.0, c.coverage_off)
+            bias = ("bias", c.bias_over_sigma or 0.0, 1.0 / math.sqrt(c.tests), c.bias_off)
+            misses += [Miss(group.label, c.name, *one) for one in (coverage, bias) if abs(one[-1]) > CHANCE]
     return tuple(sorted(misses, key=lambda miss: -abs(miss.standard_errors)))
 
 
-def _histogram(rows: pa.Table) -> tuple[int, ...]:
-    z = _numbers(rows, "z")
-    counts = np.histogram(np.clip(z[np.isfinite(z)], EDGES[0], EDGES[-1]), EDGES)[0]
-    return tuple(int(count) for count in counts)
+def _repeat_command(campaign: Campaign, case: int, repeat: int) -> str:
+    name = shlex.quote(campaign.plan.path.name)
+    return f"piga campaign repeat {name} --case {case} --repeat {repeat} --out DIR"
 
 
-def _worst(campaign: Campaign, rows: pa.Table) -> list[_WorstCase]:
-    z = _numbers(rows, "z")
-    size = np.where(np.isfinite(z), np.abs(z), 0.0)
+def _worst(campaign: Campaign, rows: pa.Table, z: Array) -> list[_WorstCase]:
     cases = []
-    for at in np.argsort(-size, kind="stable")[:WORST]:
-        if size[at] > 0.0:
+    for at in np.argsort(-np.abs(z), kind="stable")[:WORST]:
+        if z[at] != 0.0:
             record = campaign.plan.record(rows.column("record")[int(at)].as_py())
             place = (record.number, record.case, record.repeat, record.group.label)
-            name = rows.column("name")[int(at)].as_py()
-            cases.append(_WorstCase(*place, name, float(z[at]), _repeat_command(campaign, record)))
+            command = _repeat_command(campaign, record.case, record.repeat)
+            cases.append(_WorstCase(*place, rows.column("name")[int(at)].as_py(), float(z[at]), command))
     return cases
 
 
-def _failures(campaign: Campaign, heads: pa.Table) -> list[_Failure]:
-    import pyarrow.compute as pc
-
-    failed = heads.filter(pc.is_valid(heads.column("error_class"))).select(["error_class", "record", "error"])
-    rows = failed.to_pylist()
+def _failures(campaign: Campaign, heads: list[Row]) -> list[_Failure]:
+    of_class: dict[str, list[Row]] = {}
+    for head in heads:
+        if head["error_class"]:
+            of_class.setdefault(head["error_class"], []).append(head)
     failures = []
-    for name, count in Counter(row["error_class"] for row in rows).items():
-        first = next(row for row in rows if row["error_class"] == name)
-        command = _repeat_command(campaign, campaign.plan.record(first["record"]))
-        failures.append(_Failure(name, count, first["record"], first["error"] or "", command))
+    for name, (first, *more) in of_class.items():
+        record = campaign.plan.record(first["record"])
+        command = _repeat_command(campaign, record.case, record.repeat)
+        failures.append(_Failure(name, 1 + len(more), record.number, first["error"] or "", command))
     return sorted(failures, key=lambda failure: (-failure.records, failure.error_class))
-
-
-# --- documents ---------------------------------------------------------------------------------------
-
-COLLECTED = "piga.campaign.collected/2"
-
-
-def document(collected: Collected) -> dict[str, Any]:
-    """The JSON document of ``piga campaign collect``."""
-    names = ("title", "version", "seed", "records", "computed", "failed", "complete", "missing")
-    entry = {"schema": COLLECTED, "campaign": collected.file} | {
-        name: getattr(collected, name) for name in names
-    }
-    return entry | {
-        "missing": list(collected.missing),
-        "groups": [_group_document(result) for result in collected.groups],
-        "misses": msgspec.to_builtins(collected.misses),
-        "worst": msgspec.to_builtins(collected.worst),
-        "failures": msgspec.to_builtins(collected.failures),
-    }
-
-
-def _group_document(result: GroupResult) -> dict[str, Any]:
-    group = result.group
-    names = ("records", "failed", "nees", "nees_expected", "seen")
-    entry = {"name": group.name, "set": group.set, "subject": group.subject, "planned": group.records}
-    entry |= {name: getattr(result, name) for name in names}
-    return entry | {"coefficients": msgspec.to_builtins(result.coefficients)}
-
-
-def write_table(collected: Collected, path: Path) -> None:
-    """Write one row per group and coefficient as CSV."""
-    import csv
-
-    rows = [
-        {"group": result.group.label} | msgspec.to_builtins(c)
-        for result in collected.groups
-        for c in result.coefficients
-    ]
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]) if rows else ["group"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from piga.campaign.campaign_file import NUMBER
 from piga.campaign.collect import CHANCE, EDGES, SURE, CampaignCoefficient, Collected, GroupResult, Miss
 from piga.records.terms import shown_unit
-from piga.reports.render.figure import Axis, Figure, Plot, Role
+from piga.reports.render.figure import Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, short, signed
 from piga.reports.render.page import (
     ALONE,
@@ -29,8 +27,6 @@ from piga.reports.render.page import (
 
 _GROUPS = 60
 """Most groups whose tables are on the page; ``coefficients.csv`` has all."""
-_FIGURES = 8
-"""Most coefficients with a figure over the grid."""
 
 
 def campaign_page(collected: Collected) -> Page:
@@ -42,14 +38,13 @@ def campaign_page(collected: Collected) -> Page:
         ("Judgement", "judgement", judgement(collected)),
         ("Intervals", "intervals", _intervals(judged, collected) if judged else []),
         ("Results", "results", _tables(plain, _plain_table)),
-        ("Over the grid", "grid", _grid_figures(collected)),
         ("What the calibrations report", "seen", [_seen_table(seen)] if seen else []),
         ("Worst cases", "worst", [_worst_table(collected)] if collected.worst else []),
         ("Records that failed", "failures", [_failure_table(collected)] if collected.failures else []),
     ]
     return Page(
         title=collected.title,
-        subtitle=f"{collected.computed} of {collected.records} records, from {collected.file}, seed {collected.seed}.",
+        subtitle=f"{collected.computed} of {collected.records} records, from {collected.campaign}, seed {collected.seed}.",
         tiles=_tiles(collected, judged),
         sections=tuple(Section(title, anchor, tuple(blocks)) for title, anchor, blocks in sections if blocks),
         kicker="piga · campaign",
@@ -72,7 +67,7 @@ def judgement(collected: Collected) -> list[Content]:
         blocks.append(Notice("warning", text))
     if collected.failed:
         text = f"{collected.failed} of {collected.computed} records failed. They are not in the figures below."
-        empty = [result.group.label for result in collected.groups if result.failed and not result.coefficients]
+        empty = [result.label for result in collected.groups if result.failed and not result.coefficients]
         text += f" Not one record could be computed of: {'; '.join(empty)}." if empty else ""
         blocks.append(Notice("problem" if empty else "warning", text))
     sure = [miss for miss in collected.misses if miss.sure]
@@ -110,9 +105,7 @@ def _tiles(collected: Collected, judged: list[GroupResult]) -> tuple[Tile, ...]:
         Tile("Records", str(collected.computed), f"of {collected.records}", f"{len(collected.groups)} groups"),
         Tile("Failed", str(failed), "", "see below" if failed else "none", "doubtful" if failed else "good"),
     ]
-    shares = [
-        (c.coverage, c.name, r.group.label) for r in judged for c in r.coefficients if c.coverage is not None
-    ]
+    shares = [(c.coverage, c.name, r.label) for r in judged for c in r.coefficients if c.coverage is not None]
     if shares:
         for title, (share, name, group) in (("Lowest", min(shares)), ("Highest", max(shares))):
             tiles.append(Tile(f"{title} coverage", f"{100 * share:.1f}", "%", f"{name}, {group}"))
@@ -168,7 +161,7 @@ def _interval_table(result: GroupResult) -> Table:
         .number("Variance / bound", lambda c: _or_dash(c.variance_over_bound, "{:.2f}".format))
         .number("NEES (expected)", lambda c: _or_dash(c.nees, lambda x: f"{x:.2f} ({c.nees_expected:.2f})"))
         .number("Largest error", lambda c: _or_dash(c.largest_z, "{:.1f}".format), "u")
-        .table(result.group.label, (note,))
+        .table(result.label, (note,))
     )
 
 
@@ -179,7 +172,7 @@ def _plain_table(result: GroupResult) -> Table:
         .number("Std", lambda c: _number(c, c.std))
         .number("Lowest", lambda c: _number(c, c.lowest))
         .number("Highest", lambda c: _number(c, c.highest))
-        .table(result.group.label, (_count(result),))
+        .table(result.label, (_count(result),))
     )
 
 
@@ -187,7 +180,7 @@ def _seen_table(results: list[GroupResult]) -> Table:
     names = sorted(dict.fromkeys(name for result in results for name in result.seen))
     return (
         TableOf(results)
-        .text("Group", lambda result: result.group.label)
+        .text("Group", lambda result: result.label)
         .number("Records", lambda result: str(result.records))
         .across(names, str, lambda result, name: _or_dash(result.seen.get(name), _percent), lambda _: "%")
         .table(notes=("Share of the records with this noise in the result, or this term suggested.",))
@@ -249,7 +242,7 @@ def _coverage_figure(judged: list[GroupResult]) -> Figure:
     share = np.array([100 * (c.coverage or 0.0) for _, c in points])
     error = np.array([200 * (c.coverage_std_error or 0.0) for _, c in points])
     off = np.array([_tone(c) != "" for _, c in points])
-    text = np.array([f"{r.group.label}: {c.name}" for r, c in points])
+    text = np.array([f"{r.label}: {c.name}" for r, c in points])
     plot = Plot(
         "coverage", "Coverage of the 95 % intervals.", "coefficients in the order of the tables", "coverage [%]"
     )
@@ -276,53 +269,4 @@ def error_figure(collected: Collected) -> Figure:
     return plot.caption(
         "All coefficients of all groups. Errors beyond 5 u are in the outer bars. Good: the bars follow the curve. "
         "With few degrees of freedom the tails are heavier, as those of Student's t."
-    )
-
-
-def _grid_figures(collected: Collected) -> list[Figure]:
-    """For each coefficient a figure over the first numeric key of the grid, with a line for each value of the other keys."""
-    results = [result for result in collected.groups if result.group.set]
-    keys = list(results[0].group.set) if results else []
-    key = next((k for k in keys if len({_quantity(r.group.set.get(k))[0] for r in results} - {None}) > 1), None)
-    if key is None:
-        return []
-    names = dict.fromkeys(c.name for r in results for c in r.coefficients)
-    return [_grid_figure(results, key, name) for name in list(names)[:_FIGURES]]
-
-
-def _quantity(value: object) -> tuple[float | None, str]:
-    """Number and unit of a value of the grid. A text that is no quantity is all unit."""
-    match = NUMBER.fullmatch(str(value))
-    return (float(match[1]), match[2]) if match else (None, str(value))
-
-
-_LINES: tuple[Role, ...] = ("data", "model", "before", "after", "x", "y", "z", "muted")
-
-
-def _grid_figure(results: list[GroupResult], key: str, name: str) -> Figure:
-    lines: dict[str, list[tuple[float, float, float]]] = {}
-    unit, judged = "", False
-    for result in results:
-        c = next((one for one in result.coefficients if one.name == name), None)
-        x, _ = _quantity(result.group.set.get(key))
-        if c is None or x is None:
-            continue
-        scale, unit = shown_unit(c.name, c.unit)
-        judged = judged or c.bias is not None
-        others = [f"{k} = {v}" for k, v in result.group.set.items() if k != key]
-        label = ", ".join([result.group.name] * bool(result.group.name) + others) or name
-        middle, spread = (c.mean, c.std) if c.bias is None else (c.bias, c.spread)
-        lines.setdefault(label, []).append((x, scale * middle, scale * (spread or 0.0)))
-    places = sorted({x for line in lines.values() for x, _, _ in line})
-    log = places[0] > 0.0 and places[-1] / places[0] > 20.0
-    quantity = f"error of {name}" if judged else name
-    plot = Plot(f"grid-{re.sub('[^A-Za-z0-9]+', '-', name).strip('-')}", f"{quantity} over {key}.")
-    unit_of_key = _quantity(results[0].group.set[key])[1]
-    plot.panel(Axis(key, unit_of_key, log=log), Axis(quantity, pretty_unit(unit)))
-    for role, (label, line) in zip(_LINES, lines.items(), strict=False):
-        x_values, y, error = np.array(sorted(line)).T
-        plot.marked(x_values, y, label, role, error=error)
-    return plot.caption(
-        "Mean of the records of each point, with the standard deviation of one record as bar."
-        + (" Only the first lines are drawn; the tables have all." if len(lines) > len(_LINES) else "")
     )

@@ -9,24 +9,22 @@ without a part.
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import os
 import queue
 import re
 import signal
-import socket
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from piga.campaign.shards import LOCK, Campaign, ShardReport, compile_kernels, read_part, run_shard
-from piga.errors import ArgumentError, PigaError, missing_package
+from piga.campaign.shards import LOCK, Campaign, compile_kernels, read_part, run_shard
+from piga.errors import ArgumentError, PigaError, needed
 from piga.progress import Progress
 from piga.progress import report as report_progress
 from piga.records.text_files import first_line
@@ -37,29 +35,27 @@ _CONNECT = 20.0
 """Longest time to wait for the scheduler and its first worker [s]."""
 PATIENCE = 60.0
 """A cluster without workers for longer than this ends the run [s]."""
-_ONE_THREAD = dict.fromkeys(
-    (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-        "NUMBA_NUM_THREADS",
-    ),
-    "1",
-)
+_THREADS = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM")
+_ONE_THREAD = {f"{name}_THREADS": "1" for name in _THREADS}
 """Variables that give a worker of this machine one thread, in kernels and in linear algebra."""
 _ADDRESS = re.compile(r"(?:dask|tls|tcp)://(?P<host>\[[0-9a-fA-F:.]+\]|[^:/\[\]\s]+):(?P<port>\d{1,5})/?")
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _STAY = "parts that are written stay"
 _AGAIN = f"then give the same command: {_STAY}"
 
 
 @dataclass
 class RunReport:
-    """Result of a run: shards in all and done, reports of this run, and shards whose worker died again and again."""
+    """Result of a run: shards in all and done, and shards whose worker died again and again.
+
+    ``records``, ``failed`` and ``seconds`` (of processor time) are those of this run.
+    """
 
     shards: int
     done: int = 0
-    reports: list[ShardReport] = field(default_factory=list)
+    records: int = 0
+    failed: int = 0
+    seconds: float = 0.0
     set_aside: dict[int, str] = field(default_factory=dict)
 
 
@@ -102,24 +98,20 @@ def run_campaign(
 
 def _lock(folder: Path) -> IO[str]:
     """The locked file of a run; closing it unlocks the folder."""
+    stream = (folder / LOCK).open("a")
     try:
-        with ExitStack() as stack:
-            stream = stack.enter_context((folder / LOCK).open("a"))
-            if os.name != "nt":
-                import fcntl
+        if os.name != "nt":
+            import fcntl
 
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            stack.pop_all()
-        return stream
-    except BlockingIOError:
-        raise PigaError(
-            f"{folder}: another 'piga campaign run' works in this folder", remedy="wait for it, or stop it"
-        ) from None
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        raise PigaError(
-            f"{folder}: cannot be written ({error.strerror or error})",
-            remedy="use a folder you may write to, on a file system with locks",
-        ) from None
+        stream.close()
+        if isinstance(error, BlockingIOError):
+            why, remedy = "another 'piga campaign run' works in this folder", "wait for it, or stop it"
+        else:
+            why, remedy = f"cannot be locked ({error.strerror})", "use a file system with locks"
+        raise PigaError(f"{folder}: {why}", remedy=remedy) from None
+    return stream
 
 
 # --- clusters ----------------------------------------------------------------------------------------
@@ -130,7 +122,9 @@ def _client(
     campaign: Campaign, executor: str | None, workers: int | None, progress: Progress | None
 ) -> Iterator[Any]:
     """A client of the cluster that the options name; a cluster of this machine ends with the run."""
-    distributed, dask = _dask()
+    distributed = needed("distributed")
+    import dask
+
     for name in ("distributed", "tornado", "asyncio"):  # what the user needs to know is said by the run
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if executor is not None:
@@ -148,9 +142,7 @@ def _client(
     count = (os.cpu_count() or 1) if workers is None else workers
     if count < 1:
         raise ArgumentError(f"--workers {count}: at least one is needed", remedy="write e.g. --workers 2")
-    report_progress(
-        progress, 0, campaign.manifest.records, "first record, and kernels where they are not compiled"
-    )
+    report_progress(progress, 0, campaign.plan.records, "first record, and kernels where they are not compiled")
     compile_kernels(campaign.plan)
     options = {"threads_per_worker": 1, "security": True, "protocol": "tls://", "dashboard_address": None}
     options["silence_logs"] = logging.CRITICAL  # of the workers: their traceback at Ctrl-C
@@ -176,15 +168,6 @@ def _without_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _dask() -> tuple[Any, Any]:
-    try:
-        import dask
-        import distributed
-    except ImportError:
-        raise missing_package("distributed") from None
-    return distributed, dask
-
-
 def _connected(distributed: Any, executor: str) -> Any:
     """A client of a running scheduler, with at least one worker."""
     match = _ADDRESS.fullmatch(executor)
@@ -195,7 +178,7 @@ def _connected(distributed: Any, executor: str) -> Any:
         )
     security = distributed.Security()
     secure = bool(security.tls_ca_file and security.tls_client_cert)
-    if not secure and not is_local(match["host"]):
+    if not secure and match["host"] not in _LOOPBACK:
         raise PigaError(
             f"--executor {executor}: is not on this machine, and there are no TLS certificates",
             remedy="a cluster runs whatever code it is sent: set distributed.comm.tls in Dask's configuration "
@@ -220,15 +203,6 @@ def _connected(distributed: Any, executor: str) -> Any:
     return client
 
 
-def is_local(host: str) -> bool:
-    """True for a name or address of the local machine's loopback interface."""
-    try:
-        seen = {info[4][0] for info in socket.getaddrinfo(host.strip("[]"), None)}
-    except OSError:
-        return False
-    return bool(seen) and all(ipaddress.ip_address(str(one).partition("%")[0]).is_loopback for one in seen)
-
-
 # --- the loop ----------------------------------------------------------------------------------------
 
 
@@ -238,7 +212,7 @@ def _compute(
     """Compute the shards. One whose worker died again and again is set aside; other errors end the run."""
     from distributed.scheduler import KilledWorker
 
-    total = campaign.manifest.records
+    total = campaign.plan.records
     records = total - sum(len(campaign.records_of(shard)) for shard in missing)
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
     folder = str(campaign.folder.resolve())
@@ -249,8 +223,8 @@ def _compute(
         future.add_done_callback(finished.put)
     seen = time.monotonic()
     while waiting:
-        failed = sum(one.failed for one in report.reports)
-        what = f"{report.done} of {report.shards} shards" + (f", {failed} records failed" if failed else "")
+        failed = f", {report.failed} records failed" if report.failed else ""
+        what = f"{report.done} of {report.shards} shards{failed}"
         report_progress(progress, records, total, what, f"go on with the same command: {_STAY}")
         try:
             future = finished.get(timeout=_POLL)
@@ -262,8 +236,11 @@ def _compute(
         shard = waiting.pop(future)
         numbers = campaign.records_of(shard)
         try:
-            report.reports.append(future.result())
+            computed, failures, seconds = future.result()
             report.done += 1
+            report.records += computed
+            report.failed += failures
+            report.seconds += seconds
         except (OSError, TimeoutError, CancelledError):
             raise _gone(client) from None
         except KilledWorker as error:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from piga.campaign.campaign_file import CampaignPlan, plan_of, read_campaign
-from piga.campaign.subjects import compute, reason
-from piga.errors import ArgumentError, DataError, PigaError
+from piga.campaign.campaign_file import CampaignPlan, Count, plan_of, read_campaign
+from piga.campaign.subjects import compute
+from piga.errors import DataError, PigaError
 from piga.output import write_whole
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ class Manifest(msgspec.Struct, frozen=True):
     schema: str
     campaign: str
     texts: dict[str, str]
-    records: int
-    records_per_shard: int
+    records_per_shard: Count
     software: dict[str, str]
     seconds_per_record: float | None = None
 
@@ -62,12 +61,12 @@ class Campaign:
     @property
     def shards(self) -> int:
         """Number of shards."""
-        return math.ceil(self.manifest.records / self.manifest.records_per_shard)
+        return math.ceil(self.plan.records / self.manifest.records_per_shard)
 
     def records_of(self, shard: int) -> range:
         """Numbers of the records of a shard."""
         size = self.manifest.records_per_shard
-        return range(shard * size, min((shard + 1) * size, self.manifest.records))
+        return range(shard * size, min((shard + 1) * size, self.plan.records))
 
     def parts(self) -> dict[int, Path]:
         """The part of each shard that is done, in the order of the shards."""
@@ -85,7 +84,7 @@ class Campaign:
     def key(self) -> str:
         """SHA-256 of everything that determines the numbers and the shards."""
         m = self.manifest
-        chosen = [sorted(m.texts.items()), m.records, m.records_per_shard, m.software]
+        chosen = [sorted(m.texts.items()), self.plan.records, m.records_per_shard, m.software]
         return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()
 
     def part_name(self, shard: int, content: bytes) -> str:
@@ -122,10 +121,6 @@ def open_campaign(folder: str | Path) -> Campaign:
         raise PigaError(
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
         ) from None
-    except OSError as error:
-        raise PigaError(
-            f"{path}: cannot be read ({error.strerror or error})", remedy="name the folder of a campaign"
-        ) from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise _damaged(path, str(error)) from None
     if manifest.schema != SCHEMA:
@@ -133,14 +128,10 @@ def open_campaign(folder: str | Path) -> Campaign:
             f"{path}: schema '{manifest.schema}' is not known",
             remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
         )
-    if manifest.records_per_shard < 1:
-        raise _damaged(path, "records_per_shard")
     try:
         plan = plan_of(Path(manifest.campaign), {name: text.encode() for name, text in manifest.texts.items()})
     except KeyError as error:
         raise _damaged(path, f"it lacks the file {error}") from None
-    if plan.records != manifest.records:
-        raise _damaged(path, "records")
     return Campaign(folder, manifest, plan)
 
 
@@ -160,18 +151,10 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
     path, folder = Path(os.path.abspath(path)), Path(folder)  # noqa: PTH100 - symbolic links stay as they are named
     plan = read_campaign(path)
     texts = {name: raw.decode("utf-8") for name, raw in plan.texts.items()}
-    wanted = Manifest(SCHEMA, str(path), texts, plan.records, 1, software())
+    wanted = Manifest(SCHEMA, str(path), texts, 1, software())
     if (folder / MANIFEST).exists():
         return _same(open_campaign(folder), wanted)
-    if folder.exists() and not folder.is_dir():
-        raise ArgumentError(f"--out {folder}: is a file", remedy="name a folder")
-    try:
-        (folder / _PARTS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PigaError(
-            f"--out {folder}: cannot be written ({error.strerror or error})",
-            remedy="name a folder you may write to, with room",
-        ) from None
+    (folder / _PARTS).mkdir(parents=True, exist_ok=True)
     size, seconds = plan.file.campaign.records_per_shard, None
     if size is None:
         seconds = seconds_per_record(plan)
@@ -184,20 +167,25 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
 
 def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
     has, folder = campaign.manifest, campaign.folder
-    if (has.texts, has.records) != (wanted.texts, wanted.records):
+    if has.texts != wanted.texts:
         raise PigaError(
             f"{folder}: holds another campaign, or its files changed since it was planned",
             remedy="choose another --out",
         )
-    if has.software != wanted.software:
-        pairs = [(name, has.software.get(name, ""), text) for name, text in wanted.software.items()]
-        changed = ", ".join(f"{n} {old[:12]} then, {new[:12]} now" for n, old, new in pairs if old != new)
+    changed = _changed(has)
+    if changed:
         raise PigaError(
             f"{folder}: was begun with other software ({changed}); records of different software must not "
             "be mixed",
             remedy="choose another --out, or continue with the earlier software",
         )
     return campaign
+
+
+def _changed(manifest: Manifest) -> str:
+    """The software that is another now, in words."""
+    pairs = [(name, manifest.software.get(name, ""), text) for name, text in software().items()]
+    return ", ".join(f"{name} {old[:12]} then, {new[:12]} now" for name, old, new in pairs if old != new)
 
 
 def compile_kernels(plan: CampaignPlan, number: int = 0) -> None:
@@ -233,27 +221,16 @@ def shard_size(records: int, seconds: float) -> int:
 # --- computing a shard: the task of a worker ---------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ShardReport:
-    """Report of a worker on a finished shard: records, failed records, processor time [s]."""
-
-    shard: int
-    records: int
-    failed: int
-    seconds: float
-
-
-def run_shard(folder: str, shard: int) -> ShardReport:
-    """Compute a shard and write its part. If the part is there already, nothing is computed."""
+def run_shard(folder: str, shard: int) -> tuple[int, int, float]:
+    """Compute a shard and write its part: records, failed records, processor time [s]. A part that is there stays."""
     campaign = _opened(folder)
     if shard in campaign.parts():
-        return ShardReport(shard, 0, 0, 0.0)
+        return 0, 0, 0.0
     began = time.process_time()
-    rows = [row for number in campaign.records_of(shard) for row in _rows(campaign, number)]
+    numbers = campaign.records_of(shard)
+    rows = [row for number in numbers for row in _rows(campaign, number)]
     _write_part(campaign, shard, rows)
-    heads = [row for row in rows if row["name"] is None]
-    failed = sum(row["error_class"] is not None for row in heads)
-    return ShardReport(shard, len(heads), failed, time.process_time() - began)
+    return len(numbers), sum(bool(row.get("error_class")) for row in rows), time.process_time() - began
 
 
 def _opened(folder: str) -> Campaign:
@@ -266,10 +243,10 @@ def _opened(folder: str) -> Campaign:
             f"worker {host}: {error.message}",
             remedy="every worker needs the folder of the campaign at the same path: use a shared disk",
         ) from None
-    changed = [name for name, text in software().items() if campaign.manifest.software.get(name) != text]
+    changed = _changed(campaign.manifest)
     if changed:
         raise PigaError(
-            f"worker {host}: has other software than the campaign ({', '.join(changed)} differ)",
+            f"worker {host}: has other software than the campaign ({changed})",
             remedy="install the same version of piga and its packages on every machine",
         )
     return campaign
@@ -288,7 +265,7 @@ def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
     try:
         outcome = compute(campaign.plan, record)
     except Exception as error:
-        head["error_class"], head["error"] = reason(error)
+        head["error_class"], head["error"] = type(error).__name__, (str(error) or repr(error))[:2000]
     else:
         head |= {name: getattr(outcome, name) for name in ("nees", "nees_expected", "notes", "seen")}
         rows = [place | row for row in outcome.rows()]
@@ -331,13 +308,12 @@ def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
     import pyarrow as pa
     from pyarrow import parquet
 
-    remedy = "delete it, then run the campaign again: it is computed anew"
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})", remedy=remedy) from None
+    content = path.read_bytes()
     if path.name != campaign.part_name(shard, content):
-        raise DataError(f"{path}: is damaged, or belongs to another campaign or shard", remedy=remedy)
+        raise DataError(
+            f"{path}: is damaged, or belongs to another campaign or shard",
+            remedy="delete it, then run the campaign again: it is computed anew",
+        )
     # read_table scans in threads that outlive the call; one that lets go of `content` while Python ends aborts the process
     with parquet.ParquetFile(pa.BufferReader(content), pre_buffer=False) as source:
         return source.read(use_threads=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 import tempfile
 import warnings
@@ -15,7 +14,7 @@ import msgspec
 import numpy as np
 
 from piga.campaign.campaign_file import CampaignPlan, RecordName
-from piga.errors import ArgumentError, PigaError, PigaWarning, RunFileError, UnitError
+from piga.errors import ArgumentError, PigaWarning, RunFileError, UnitError
 from piga.records.calibration.coefficient import changes
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable, ModelTable, UncertaintyTable
 from piga.records.text_files import convert_table, convert_toml, toml_text
@@ -217,12 +216,6 @@ def _platform_run(plan: CampaignPlan, record: RecordName, scenario: PlatformScen
     return Outcome(dict(zip(("name", "unit", "value"), zip(*rows, strict=True), strict=True)))
 
 
-def reason(error: Exception) -> tuple[str, str]:
-    """Class and message of an error, for the row of a record that failed."""
-    text = str(error) if isinstance(error, PigaError) else f"{error}" or repr(error)
-    return type(error).__name__, text[:2000]
-
-
 # --- files of a record -------------------------------------------------------------------------------
 
 
@@ -234,19 +227,10 @@ def write_record(plan: CampaignPlan, record: RecordName, folder: Path) -> None:
     """Write the files of a record into ``folder``: the scenario as it was used, with the seed of the record."""
     document = plan.document(record)
     made = built(plan, record, document)
-    seeded = _plain(document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}})
+    seeded = document | {"run": document.get("run", {}) | {"seed": seed_of(plan, record)}}
     (folder / "scenario.toml").write_text(toml_text(seeded), encoding="utf-8", newline="\n")
     if isinstance(made, Scenario):
         _write_lab_files(made, run_scenario(made, seed=seed_of(plan, record)), folder)
-
-
-def _plain(value: Any) -> Any:
-    """Tables that can be written again: dates become text."""
-    if isinstance(value, dict):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list):
-        return [_plain(part) for part in value]
-    return value.isoformat() if isinstance(value, dt.date | dt.time) else value
 
 
 def outcome_document(record: RecordName, outcome: Outcome) -> dict[str, Any]:

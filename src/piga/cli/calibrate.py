@@ -1,12 +1,17 @@
-"""``piga calibrate``, and ``piga demo``: the main job on the shipped record."""
+"""``piga calibrate``, ``piga compensate``, and ``piga demo``: the main job on the shipped record."""
 
 from __future__ import annotations
 
+import glob
+import io
+import os
 import shutil
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -15,10 +20,12 @@ from piga.cli.common import (
     JsonOption,
     MethodOption,
     PhasesOption,
-    PhaseSourceOption,
     TermsOption,
     argument,
+    check_pipes,
+    counted,
     deliver,
+    deliver_file,
     files_named_in,
     flag,
     names_in,
@@ -27,11 +34,15 @@ from piga.cli.common import (
     progress,
 )
 from piga.data import EXAMPLE, copy_example
+from piga.errors import ArgumentError
 from piga.output import CALIBRATION_RESULTS
 
 if TYPE_CHECKING:
     from piga.calibration.summary import RunSummary
+    from piga.compensation import Compensated, CompensatedSet, Phase
+    from piga.compensation.result import Inputs
     from piga.records import Calibration, Run
+    from piga.reports.render.page import Page
 
 RunFilesArgument = Annotated[
     list[Path],
@@ -45,11 +56,9 @@ def calibrate(
     terms: TermsOption = None,
     method: MethodOption = None,
     phases: PhasesOption = None,
-    phase_source: PhaseSourceOption = None,
     per_run: Annotated[
         str | None, option("A,B,...", "Terms of each run alone [default: k0]; '' for none.")
     ] = None,
-    compare: Annotated[str | None, option("'A,B; C'", "Sets of terms to compare.")] = None,
     summary: Annotated[bool, flag("--summary", "Also write summaries, to calibrate without the data.")] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
     force: ForceOption = False,
@@ -66,23 +75,19 @@ def calibrate(
     from piga.gravity_norm.set_file import is_set_file
 
     if any(is_set_file(run) for run in runs):
-        options = (terms, method, phases, phase_source, per_run, compare)
-        _calibrate_set(
-            runs, directory, inputs, plain=not summary and not any(options), force=force, as_json=as_json
-        )
+        plain = not any((terms, method, phases, per_run, summary))
+        _calibrate_set(runs, directory, inputs, plain=plain, force=force, as_json=as_json)
         return
     from piga.calibration.summary import RunSummary
     from piga.records.calibration.document import to_document
 
     with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
-        items = _read_items(runs) if compare is None else _with_sets(_read_items(runs), compare)
+        items = _read_items(runs)
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
 
-            calibration = estimate(
-                items, names_in(terms), method, phases=phases, phase_source=phase_source,
-                per_run=names_in(per_run), progress=advance,
-            )  # fmt: skip
+            chosen = (items, names_in(terms), method)
+            calibration = estimate(*chosen, phases=phases, per_run=names_in(per_run), progress=advance)
         with progress("writing the report" if report else "writing"):
             write_results(calibration, to.stage, report=report)
             for item in items if summary else []:
@@ -95,7 +100,6 @@ def calibrate(
 def _calibrate_set(
     runs: list[Path], directory: Path, inputs: list[Path], *, plain: bool, force: bool, as_json: bool
 ) -> None:
-    from piga.errors import ArgumentError
     from piga.gravity_norm import calibrate_set_file
     from piga.reports.gravity_norm import brief, page, set_document
 
@@ -109,27 +113,6 @@ def _calibrate_set(
         with progress("calibrating"):
             calibration = calibrate_set_file(runs[0])
         to.show(set_document(calibration), page(calibration), brief(calibration), *names)
-
-
-def _with_sets(items: list[Run | RunSummary], text: str) -> list[Run | RunSummary]:
-    """The run, with these sets of terms to compare. Only one run is allowed."""
-    from dataclasses import replace
-
-    from msgspec.structs import replace as replaced
-
-    from piga.calibration.summary import RunSummary
-    from piga.errors import ArgumentError
-    from piga.records.terms import check_terms
-
-    item = items[0]
-    if len(items) > 1 or isinstance(item, RunSummary):
-        raise ArgumentError("--compare: term sets are compared on one run", remedy="name one run file")
-    sets = tuple(tuple(names_in(part) or ()) for part in text.split(";") if part.strip())
-    if not sets:
-        raise ArgumentError("--compare: there is no set of terms", remedy="e.g. 'scale_factor,tan_beta; k0'")
-    for index, terms in enumerate(sets, start=1):
-        check_terms(terms, where=f"--compare: set {index}")
-    return [replace(item, model=replaced(item.model, compare=sets))]
 
 
 def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
@@ -157,7 +140,7 @@ def demo(
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
     note("demo of the shipped record; the first time takes up to a minute")
-    from piga.compensation import compensate
+    from piga.compensation import compensate as compensate_run
     from piga.stand import read_run
 
     names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
@@ -172,7 +155,251 @@ def demo(
         with progress("writing the report"):
             write_results(calibration, to.stage)
         with progress("compensating"):
-            compensate(record, calibration).to_parquet(to / "compensated.parquet")
+            compensate_run(record, calibration).to_parquet(to / "compensated.parquet")
         program = "piga" if shutil.which("piga") else sys.argv[0]  # an environment that is not activated
         again = f"To go on: change {to.folder}/{run.name} and run: {program} calibrate {to.folder}/{run.name}"
         to.tell(dict, lambda: f"{calibration.summary()}\n\n{again}")
+
+
+# -- compensation --------------------------------------------------------------------------------------
+
+
+def compensate(
+    run: Annotated[list[Path], argument("RUN.toml", "Run file, triad file, three run files, or - (live).")],
+    calibration: Annotated[list[Path] | None, option("CALIBRATION.json", "Calibration; one per run.")] = None,
+    out: Annotated[Path, option("FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
+    method: Annotated[
+        Literal["exact", "published"] | None,
+        typer.Option(help="Default: what the phase of the calibration needs."),
+    ] = None,
+    phase: Annotated[str | None, option("ANGLE", "Phase of the output zero, e.g. '0.48 rad'.")] = None,
+    identify_phase: Annotated[str | None, option("TIME", "Phase from this time at rest, e.g. '60 s'.")] = None,
+    rate: Annotated[str | None, option("RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
+    uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
+    max_age: Annotated[float | None, option("DAYS", "Flag all rows if the calibration is older.")] = None,
+    other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
+    as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
+    force: ForceOption = False,
+    kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
+    arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
+    report: Annotated[Path | None, option("FILE.html", "Also write a page with figures.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compensate runs or live data: specific force and velocity.
+
+    One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
+    """
+    from piga.compensation.files import is_triad_file, summary_of
+    from piga.compensation.model import Phase
+    from piga.compensation.result import format_of, write_rows
+    from piga.records.calibration.document import read_with_digest
+    from piga.units import to_si
+
+    read = [read_with_digest(path) for path in calibration or []]
+    calibrations = [one if as_run is None else one.for_run(as_run) for one, _ in read]
+    sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
+    given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
+    rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
+    period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
+    live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
+    options = {"identify_phase": rest, "phase": given, "rate": period, "report": report, "as_run": as_run}
+    _refuse("a live stream" if live else "several instruments" if several else "", options)
+    if live:
+        _live(_one(calibrations), kind, method, given, uncertainty, max_age, arrow)
+        return
+    if str(out) == "-":
+        raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
+    if report is not None and report.suffix != ".html":
+        raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
+    arguments: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "force": other_serial}
+    shown = {
+        "rate": "as recorded" if period is None else f"written at {1.0 / period:.6g} Hz, shown as recorded",
+        "calibration flagged when older than": "never" if max_age is None else f"{max_age:g} days",
+        "another serial number allowed": "yes" if other_serial else "no",
+    }
+    inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
+    command, made = f"compensate-{out.stem[:40]}", [out, *([report] if report else [])]
+    names = [glob.escape(path.name) for path in made if path.parent == out.parent]
+    with ExitStack() as stack:
+        to = stack.enter_context(deliver(out.parent, command, names, inputs, force=force, as_json=as_json))
+        page_to = to
+        if report is not None and report.parent != out.parent:
+            other = deliver_file(report, command, inputs, force=force, as_json=as_json)
+            page_to = stack.enter_context(other)
+        format_of(out)
+        if several:
+            solved = _together(run, sources, calibrations, method, arguments, report is not None)
+        else:
+            solved = _single(run[0], sources, _one(calibrations), method, given, rest, arguments)
+        with progress("writing", solved.result.size) as advance:
+            written = write_rows(
+                solved.result, to / out.name, period=period, inputs=solved.inputs, progress=advance
+            )
+        if report is not None:
+            from piga.reports.render.page import write_page
+
+            with progress("writing the report"):
+                write_page(solved.page(shown), page_to / report.name)
+        summary = summary_of(solved.result, solved.records, written, solved.inputs)
+        document = {"file": str((to.folder or out.parent) / out.name)} | summary
+        document["calibrations"] = [
+            {"serial": used.serial, "verdict": used.verdict.grade}
+            | {"doubts": [doubt.words for doubt in used.verdict.doubts]}
+            for used in solved.calibrations
+        ]
+        to.tell(lambda: document, lambda: counted(summary["rows"], "row"))
+    for line in [] if as_json else _notes(document):
+        note(line)
+
+
+def _notes(document: dict[str, Any]) -> Iterator[str]:
+    """What a user must know of a compensation: flags, repairs, notes, and doubts about the calibrations."""
+    yield from (f"{name}: {counted(count, 'row')}" for name, count in document["flags"].items())
+    yield from (f"{count} x {name}" for name, count in document["repairs"].items())
+    yield from document["notes"]
+    for used in document["calibrations"]:
+        yield from (f"piga: calibration of {used['serial']}: {doubt}" for doubt in used["doubts"])
+
+
+_PHASE = "give the phase, or use piga.compensation.PhaseFinder"
+_NO_EFFECT = {
+    "a live stream": {
+        "identify_phase": _PHASE,
+        "rate": "resample with piga.compensation.Resampler",
+        "report": "record the stream, then compensate the record",
+    },
+    "several instruments": {
+        "identify_phase": _PHASE,
+        "phase": "give each [[triad.instrument]] its phase",
+        "as_run": "compensate each instrument by itself",
+    },
+}
+"""Options that would have no effect, and the alternative."""
+
+
+def _refuse(where: str, options: Mapping[str, object]) -> None:
+    for name, remedy in _NO_EFFECT.get(where, {}).items():
+        if options[name]:
+            raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
+
+
+def _one(calibrations: list[Calibration]) -> Calibration:
+    if len(calibrations) != 1:
+        raise ArgumentError(
+            f"--calibration is given {len(calibrations)} times", remedy="one is needed for one run"
+        )
+    return calibrations[0]
+
+
+class _Solved(NamedTuple):
+    """A compensation: result, records, files and calibrations used, and its page, made of the options in words."""
+
+    result: Compensated | CompensatedSet
+    records: Sequence[Run]
+    inputs: Inputs
+    calibrations: list[Calibration]
+    page: Callable[[dict[str, str]], Page]
+
+
+def _single(
+    run: Path,
+    sources: list[tuple[str, str]],
+    calibration: Calibration,
+    method: str | None,
+    phase: Phase | None,
+    rest: float | None,
+    arguments: dict[str, Any],
+) -> _Solved:
+    """Compensate one recorded run of any length. ``sources`` are the calibration file and its SHA-256 as read."""
+    from piga.compensation import identify_phase
+    from piga.compensation.compensator import compensate as compensate_run
+    from piga.compensation.model import check_method
+    from piga.stand import read_run
+
+    with progress("reading"):
+        record = read_run(run)
+    inputs = [*record.input_sha256.items(), *sources]
+    if rest is not None:
+        phase = identify_phase(record, calibration, rest)
+        note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
+    with progress("compensating", record.size) as advance:
+        result = compensate_run(record, calibration, method=method, phase=phase, progress=advance, **arguments)
+
+    def page(shown: dict[str, str]) -> Page:
+        from piga.reports.compensation import compensation_page, of_record
+
+        words = {"method": check_method(method, calibration)}
+        if not calibration.direct:
+            given = f"{phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad" if phase else ""
+            words["phase used"] = given or "of the calibration"
+        data = inputs[1 if len(inputs) > 2 else 0][0]
+        return compensation_page(of_record(record, calibration, result), (data,), inputs, words | shown)
+
+    return _Solved(result, [record], inputs, [calibration], page)
+
+
+def _together(
+    runs: list[Path],
+    sources: list[tuple[str, str]],
+    calibrations: list[Calibration],
+    method: str | None,
+    arguments: dict[str, Any],
+    details: bool,
+) -> _Solved:
+    """Solve several instruments together, with the calibrations given or those that the triad file names."""
+    from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad
+
+    if method == "published":
+        raise ArgumentError(
+            "--method published is not for several instruments", remedy="leave it out: a set is solved exactly"
+        )
+    if len(runs) == 1:
+        paths, mounted, inputs = read_triad(runs[0])
+    elif len(runs) == len(calibrations) == 3:
+        paths, mounted, inputs = runs, orthogonal_triad(calibrations), sources
+    else:
+        raise ArgumentError(
+            f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
+            remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
+        )
+    each = list(zip(paths, mounted, strict=True))
+    with progress("reading"):
+        records = [read_member(path, item, arguments["force"]) for path, item in each]
+    inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
+    with progress("compensating", records[0].size) as advance:
+        result = compensate_set(records, mounted, details=details, progress=advance, **arguments)
+
+    def page(shown: dict[str, str]) -> Page:
+        from piga.reports.compensation import compensation_page, of_set
+
+        serials = [(path.stem, item.calibration.serial) for path, item in each]
+        names = tuple(f"{name} ({serial})" if serial else name for name, serial in serials)
+        outline, files = of_set(records, mounted, result), list(dict.fromkeys(inputs))
+        return compensation_page(outline, names, files, {"method": "exact"} | shown)
+
+    return _Solved(result, records, inputs, [item.calibration for item in mounted], page)
+
+
+def _live(
+    calibration: Calibration,
+    kind: str,
+    method: str | None,
+    phase: Phase | None,
+    uncertainty: bool,
+    max_age: float | None,
+    arrow: bool,
+) -> None:
+    from piga.compensation import Compensator
+    from piga.compensation.live import compensate_arrow, compensate_lines
+
+    check_pipes()
+    stream = Compensator(
+        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
+    )
+    if arrow:
+        compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
+    else:
+        if isinstance(sys.stdin, io.TextIOWrapper):
+            sys.stdin.reconfigure(encoding="utf-8-sig", errors="replace")
+        compensate_lines(sys.stdin, sys.stdout, stream)

@@ -22,9 +22,9 @@ from piga.cli.common import (
 
 app = App("campaign", "Run thousands of tests, on one machine or many.")
 
-File = Annotated[Path, argument("CAMPAIGN.toml", "Campaign file.", show_default=False)]
+File = Annotated[Path, argument("CAMPAIGN.toml", "Campaign file.")]
 Out = Annotated[Path, option("DIR", "Folder of the campaign.")]
-Folder = Annotated[Path, argument("DIR", "Folder of the campaign.", show_default=False)]
+Folder = Annotated[Path, argument("DIR", "Folder of the campaign.")]
 _INCOMPLETE = 1
 """Exit code if shards could not be computed, or the run was stopped."""
 
@@ -41,12 +41,12 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     planned = plan_campaign(campaign, out)
     manifest, groups = planned.manifest, planned.plan.groups
     size, seconds = manifest.records_per_shard, manifest.seconds_per_record
-    hours = None if seconds is None else seconds * manifest.records / 3600.0
+    hours = None if seconds is None else seconds * planned.plan.records / 3600.0
     document = {
         "campaign": str(planned.plan.path),
         "groups": len(groups),
         "cases": sum(group.designs for group in groups),
-        "records": manifest.records,
+        "records": planned.plan.records,
         "shards": planned.shards,
         "records_per_shard": size,
         "seconds_per_record": seconds,
@@ -55,7 +55,7 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     lines = [planned.plan.file.campaign.title or planned.plan.path.name]
     lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
     lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
-    lines.append(f"{manifest.records} records in {planned.shards} shards of {size}")
+    lines.append(f"{planned.plan.records} records in {planned.shards} shards of {size}")
     if seconds is not None:
         cost = f"{duration(seconds * size)} a shard, {hours:.2g} core hours in all"
         lines.append(f"about {seconds:.2g} s a record, {cost}")
@@ -90,18 +90,15 @@ def run(
     except KeyboardInterrupt:
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
         raise SystemExit(_INCOMPLETE) from None
-    records, failed, seconds = (
-        sum(getattr(one, name) for one in report.reports) for name in ("records", "failed", "seconds")
-    )
     document = {
         "shards": report.shards,
         "shards_done": report.done,
-        "records": planned.manifest.records,
-        "records_of_this_run": records,
-        "failed_in_this_run": failed,
+        "records": planned.plan.records,
+        "records_of_this_run": report.records,
+        "failed_in_this_run": report.failed,
         "set_aside": [{"shard": k, "reason": text} for k, text in sorted(report.set_aside.items())],
     }
-    here = f"{records} records in this run, {failed} failed, {duration(seconds)} of processor time"
+    here = f"{report.records} records in this run, {report.failed} failed, {duration(report.seconds)} of processor time"
     tell(as_json, document, [f"{report.done} of {report.shards} shards done; {here}"])
     if report.set_aside:
         for shard, text in sorted(report.set_aside.items()):
@@ -123,13 +120,13 @@ def status(folder: Folder, as_json: JsonOption = False) -> None:
     failed, seconds, records = 0, 0.0, 0
     if parts:
         heads, _ = read_rows(campaign, parts)
-        records, failed = heads.num_rows, heads.num_rows - heads.column("error_class").null_count
-        seconds = sum(heads.column("seconds").to_pylist())
+        records, failed = len(heads), sum(head["error_class"] is not None for head in heads)
+        seconds = sum(head["seconds"] for head in heads)
     document = {
         "campaign": str(campaign.plan.path),
         "shards": campaign.shards,
         "shards_done": len(parts),
-        "records": campaign.manifest.records,
+        "records": campaign.plan.records,
         "records_done": records,
         "failed": failed,
         "core_hours": seconds / 3600.0,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import datetime as dt
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from piga.cli.common import (
     App,
-    CommandGroup,
     ForceOption,
     JsonOption,
     argument,
@@ -29,21 +28,8 @@ RESULTS = ("certificate.html", "certificate.xml")
 """Names of the result files of ``issue``."""
 
 
-class _IssueByDefault(CommandGroup):
-    """``piga certificate CALIBRATION.json ...`` is ``piga certificate issue CALIBRATION.json ...``."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Insert the default command before an argument that is not a command."""
-        if args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
-            args = ["issue", *args]
-        return super().parse_args(ctx, args)
-
-
 app = App(
-    "certificate",
-    "Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC. "
-    "'piga certificate CALIBRATION.json ...' issues.",
-    cls=_IssueByDefault,
+    "certificate", "Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC."
 )
 
 PemOption = Annotated[Path | None, option("PEM", "X.509 certificate of the laboratory.")]
@@ -54,7 +40,7 @@ AtOption = Annotated[
 
 @app.command()
 def issue(
-    calibration: Annotated[Path, argument("CALIBRATION.json", "Calibration to certify.", show_default=False)],
+    calibration: Annotated[Path, argument("CALIBRATION.json", "Calibration to certify.")],
     data: Annotated[Path, option("CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")],
     out: Annotated[Path, option("DIR", "Folder for the certificate.")],
     issued: Annotated[
@@ -139,7 +125,7 @@ def _refuse_used_number(number: str, html: str, out: Path) -> None:
 
 @app.command()
 def verify(
-    file: Annotated[Path, argument("CERTIFICATE.xml", "Signed DCC.", show_default=False)],
+    file: Annotated[Path, argument("CERTIFICATE.xml", "Signed DCC.")],
     certificate: Annotated[Path, option("PEM", "X.509 certificate that must have signed it.")],
     at: AtOption = None,
     as_json: JsonOption = False,
@@ -200,7 +186,7 @@ def _day(at: str | None) -> dt.datetime:
 
 @app.command()
 def read(
-    file: Annotated[Path, argument("CERTIFICATE.xml", "DCC made by piga.", show_default=False)],
+    file: Annotated[Path, argument("CERTIFICATE.xml", "DCC made by piga.")],
     out: Annotated[Path, option("CALIBRATION.json", "File for the calibration.")],
     certificate: PemOption = None,
     at: AtOption = None,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import re
 import shlex
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,7 +22,6 @@ from piga.cli.common import (
     files_named_in,
     flag,
     no_folder,
-    note,
     option,
     progress,
     say,
@@ -39,30 +37,23 @@ if TYPE_CHECKING:
     from piga.describe.draft import KeyPlace
 
 
+_SET = "A value of the run file, e.g. data.time.unit=ms."
+_COLUMN = "What a column holds: time, counts, 'angle [deg]', 'force x [g]', ..."
+_AGAIN = "May be repeated."
+
+
 def init(
     log: Annotated[Path, argument("LOG", "Log of a test, written by any program.")],
     out: Annotated[Path | None, option("RUN.toml", "The run file [default: LOG.toml].")] = None,
-    settings: Annotated[
-        list[str] | None,
-        option("KEY=VALUE", "A value of the run file, e.g. data.time.unit=ms. May be repeated.", "--set"),
-    ] = None,
-    columns: Annotated[
-        list[str] | None,
-        option(
-            "NAME=KIND",
-            "What a column holds: time, counts, 'angle [deg]', 'force x [g]', ... May be repeated.",
-            "--column",
-        ),
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Take all guesses; do not ask.")] = False,
+    settings: Annotated[list[str] | None, option("KEY=VALUE", f"{_SET} {_AGAIN}", "--set")] = None,
+    columns: Annotated[list[str] | None, option("NAME=KIND", f"{_COLUMN} {_AGAIN}", "--column")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Draft a run file for a log.
 
     Guesses encoding, header, units, separator, decimal mark, time stamps, and the content of each column. Every guess is in
-    the run file with its reason and its alternatives. At a terminal the command asks for what the log does not say.
-    Elsewhere this is an open line in the run file.
+    the run file with its reason and its alternatives. What the log does not say is an open line in the run file.
     """
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file
@@ -77,11 +68,8 @@ def init(
         with progress(f"reading {log.name}"):
             described = describe_log(log, kinds)
         draft = draft_run_file(described, given, folder=target.parent)
-        asking = not (yes or as_json) and sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-        if asking:
-            draft = _ask(described, given, target)
         read_run_file(target, draft.completed().text().encode())
-        lines = [] if asking else list(_column_lines(described))
+        lines = list(_column_lines(described))
         if draft.open:
             end = list(_open_lines(described, draft, target, settings or [], columns or []))
         else:
@@ -91,48 +79,6 @@ def init(
         lines += [line for notes in draft.comments.values() for line in notes if line.startswith("CHECK")]
         write_text(to / target.name, draft.text())
         to.tell(lambda: _document(described, draft, target), lambda: "\n".join([*lines, *end]))
-
-
-def _ask(described: LogDescription, given: dict[str, Any], target: Path) -> RunFileDraft:
-    """Show the guesses, ask for what is missing and for corrections, until the user is content."""
-    from piga.describe import draft_run_file, setting
-
-    for line in _column_lines(described):
-        say(line)
-    left: set[str] = set()
-    while True:
-        draft = draft_run_file(described, given, folder=target.parent)
-        question = next((one for one in (*draft.open, *draft.optional) if one.key not in left), None)
-        if question is not None:
-            answer = _answer(
-                f"{question.words} [{question.key}], e.g. {question.example}, or Enter to leave it open: "
-            )
-            change = answer and f"{question.key}={answer}"
-        else:
-            note(f"\n{draft.text()}")
-            change = _answer("A correction as table.key=value, or Enter to write the file: ")
-        if not change:
-            if question is None:
-                return draft
-            left.add(question.key)
-            continue
-        try:
-            trial = given | dict([setting(change)])
-            draft_run_file(described, trial, folder=target.parent)
-            given |= trial
-        except PigaError as error:
-            note(f"  {error}")
-
-
-def _answer(words: str) -> str:
-    sys.stderr.write(words)
-    sys.stderr.flush()
-    line = sys.stdin.readline()
-    if not line:
-        raise ArgumentError(
-            "the input ended", remedy="nothing was written; run the command again, or with --yes"
-        )
-    return line.strip()
 
 
 def _column_lines(described: LogDescription) -> Iterator[str]:

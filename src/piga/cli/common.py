@@ -168,17 +168,10 @@ class Delivery:
     ``folder`` is where the files will be; None if the command writes none.
     """
 
-    def __init__(self, folder: Path | None, stage: Path | None) -> None:
-        self.folder, self._stage = folder, stage
+    def __init__(self, folder: Path | None, stage: Path) -> None:
+        self.folder, self.stage = folder, stage
         self._document: Callable[[], Any] | None = None
         self._text: Callable[[], str] = str
-
-    @property
-    def stage(self) -> Path:
-        """The hidden folder."""
-        if self._stage is None:
-            raise ArgumentError("no folder is named for the results", remedy="add --out DIR")
-        return self._stage
 
     def __truediv__(self, name: str) -> Path:
         return self.stage / name
@@ -208,17 +201,16 @@ def deliver(
     *,
     force: bool,
     as_json: bool,
-    option: str = "--out",
 ) -> Iterator[Delivery]:
     """The one ending of a command: its files appear together, then JSON alone, or the text and the files that were written.
 
     Results of other inputs are never replaced without ``force``: the new ones go beside them (``folder/2``).
     """
     if folder is None:
-        delivery, written = Delivery(None, None), []
+        delivery, written = Delivery(None, Path()), []
         yield delivery
     else:
-        with results(folder, command, names, inputs, force=force, option=option) as (stage, place):
+        with results(folder, command, names, inputs, force=force) as (stage, place):
             delivery = Delivery(place, stage)
             yield delivery
             written = _listed(stage, place, names)
@@ -231,17 +223,11 @@ def deliver(
 
 
 def deliver_file(
-    target: Path,
-    command: str,
-    inputs: Sequence[Path],
-    *,
-    force: bool,
-    as_json: bool = False,
-    option: str = "--out",
+    target: Path, command: str, inputs: Sequence[Path], *, force: bool, as_json: bool = False
 ) -> AbstractContextManager[Delivery]:
     """The same for one file that the user names: it is written at ``delivery / target.name``."""
     names, mark = [glob.escape(target.name)], f"{command}-{target.stem[:40]}"
-    return deliver(target.parent, mark, names, inputs, force=force, as_json=as_json, option=option)
+    return deliver(target.parent, mark, names, inputs, force=force, as_json=as_json)
 
 
 def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:
@@ -371,7 +357,6 @@ MethodOption = Annotated[str | None, option("NAME", "Estimator: information | ra
 PhasesOption = Annotated[
     str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
 ]
-PhaseSourceOption = Annotated[str | None, option("NAME", "Angle that turns the coupling: output | input.")]
 ForceOption = Annotated[bool, flag("--force", "Replace existing results.")]
 
 
@@ -379,30 +364,8 @@ _TYPE = re.compile(r" <(?:list\[)?(?:path|str|int|float)\]?>", re.IGNORECASE)
 """The Python type of an argument, in help."""
 
 
-_LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy"
-_STREAM = "compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json"
-_GONE = {
-    ("piga", "completion"): "let the shell complete commands with: piga --install-completion",
-    ("compensate", "--resume"): "run the same command again without it",
-    **dict.fromkeys(
-        (("simulate", "--every"), ("navigate", "--every")), "take every N-th row of the Parquet file"
-    ),
-    **dict.fromkeys((("ui", name) for name in ("--host", "--tls", "--password-file")), _LOOPBACK),
-    **dict.fromkeys((("ui", name) for name in ("--live", "--phase")), _STREAM),
-}
-"""Options that commands had, a command that piga had, and what takes their place."""
-
-
 class PlainCommand(TyperCommand):
     """A command whose help names values as its user does, not by their Python types."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse an option that the command had, with what takes its place."""
-        for name in (word.partition("=")[0] for word in args):
-            remedy = _GONE.get((self.name or "", name))
-            if remedy is not None:
-                raise ArgumentError(f"piga {self.name}: {name} is gone", remedy=remedy)
-        return super().parse_args(ctx, args)
 
     def get_help(self, ctx: Any) -> str:
         """The whole help, without the Python types of arguments."""
@@ -424,13 +387,6 @@ class CommandGroup(TyperGroup):
         """The first sentence for the list of a group, whole."""
         return super().get_short_help_str(max(limit, _LONGEST))
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """The command that is named. One that is gone is refused, with what takes its place."""
-        remedy = _GONE.get((self.name or "", args[0]))
-        if remedy is not None:
-            raise ArgumentError(f"piga {args[0]} is gone", remedy=remedy)
-        return super().resolve_command(ctx, args)
-
     def get_params(self, ctx: Any) -> list[Any]:
         """The options. Flags are False if they are not given."""
         params = super().get_params(ctx)
@@ -443,16 +399,10 @@ class CommandGroup(TyperGroup):
 class App(typer.Typer):
     """A Typer application: its groups are :class:`CommandGroup`, its commands :class:`PlainCommand`."""
 
-    def __init__(self, name: str, words: str, cls: type[CommandGroup] = CommandGroup, **more: Any) -> None:
-        super().__init__(
-            name=name,
-            help=words,
-            cls=cls,
-            no_args_is_help=True,
-            rich_markup_mode=None,
-            **({"add_completion": False} | more),
-        )
+    def __init__(self, name: str, words: str, **more: Any) -> None:
+        settings: dict[str, Any] = {"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False}
+        super().__init__(name=name, help=words, cls=CommandGroup, **(settings | more))
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:
         """Decorator that adds a command."""
-        return super().command(name, **({"cls": PlainCommand} | options))
+        return super().command(name, cls=PlainCommand, **options)

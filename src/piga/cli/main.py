@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from piga._version import __version__
-from piga.cli import campaign, certificate, platform, records
-from piga.cli.calibrate import calibrate, demo
+from piga.cli import campaign, certificate, records
+from piga.cli.calibrate import calibrate, compensate, demo
 from piga.cli.check import check, convert, examples, init, methods, noise, terms
 from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
-from piga.cli.compensate import compensate
-from piga.cli.simulate import plan, reproduce, simulate
+from piga.cli.simulate import plan, platform, reproduce, simulate
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 if TYPE_CHECKING:
@@ -31,8 +30,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 RARELY = 100_000
 """New objects between two searches for garbage: most objects of a command are made at its start and stay."""
-_LONGEST = 4096
-"""Most characters of an argument: those of a path."""
 STOPPED = 130
 """Exit code of a command that was stopped with Ctrl-C, as shells have it."""
 _ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
@@ -40,10 +37,9 @@ _RIGHTS = "name a file or folder that you may use"
 _DISK = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _ROOM),
     **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _RIGHTS),
-    errno.EIO: "check the disk, then run the command again",
     errno.ENAMETOOLONG: "use a shorter name",
 }
-"""Disk errors that can occur wherever a command writes, and their remedies."""
+"""Remedies of disk errors, which can occur wherever a command reads or writes."""
 
 app = App(
     "piga",
@@ -107,7 +103,7 @@ for command in (
     methods,
 ):
     app.command()(command)
-app.add_typer(platform.app)
+app.add_typer(platform)
 app.add_typer(campaign.app)
 app.add_typer(records.app)
 app.add_typer(certificate.app)
@@ -133,14 +129,30 @@ def main() -> None:
         guarded(_run)
 
 
+_LOOPBACK = "from another computer: ssh -L 8443:127.0.0.1:8443 BENCH with --port 8443, or a reverse proxy"
+_STREAM = "compensate the stream with: logger | piga compensate - --calibration CALIBRATION.json"
+_KEEP = "calibrate with it, then keep the folder: piga records add RUN.toml --results DIR"
+_GONE = {
+    "completion": "let the shell complete commands with: piga --install-completion",
+    "calibrate --compare": "write the sets into the run file: [model] compare",
+    "calibrate --phase-source": "write it into the run file: [model] phase_source",
+    **{f"records {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
+    "compensate --resume": "run the same command again without it",
+    "platform --every": "take every N-th row of the Parquet file",
+    **dict.fromkeys(("init --yes", "init -y"), "leave it out: init does not ask"),
+    **dict.fromkeys(("ui --host", "ui --tls", "ui --password-file"), _LOOPBACK),
+    **dict.fromkeys(("ui --live", "ui --phase"), _STREAM),
+}
+"""Commands and options that piga had, and what takes their place."""
+
+
 def _run() -> None:
-    """Run the command of the arguments; one that is no name and no value is not repeated in a message."""
-    for number, word in enumerate(sys.argv[1:], start=1):
-        if len(word) > _LONGEST:
-            raise ArgumentError(
-                f"argument {number} has {len(word)} characters, at most {_LONGEST} are allowed",
-                remedy="put a long text into a file, and name the file",
-            )
+    """Run the command of the arguments; one that is gone is refused, with what takes its place."""
+    words = [word.partition("=")[0] for word in sys.argv[1:]]
+    for gone, remedy in _GONE.items():
+        command, *options = gone.split()
+        if words[:1] == [command] and set(options) <= set(words):
+            raise ArgumentError(f"piga {gone} is gone", remedy=remedy)
     app(standalone_mode=True, prog_name="piga")
 
 
@@ -169,10 +181,11 @@ def guarded(action: Callable[[], object]) -> None:
         note(f"piga: {missing_package(package)}")
         sys.exit(2)
     except OSError as error:
-        if error.errno not in _DISK:
+        if error.errno not in _DISK and not error.filename:
             raise
         name = f"{error.filename}: " if error.filename else ""
-        note(f"piga: {name}{error.strerror or error}\n  remedy: {_DISK[error.errno]}")
+        remedy = _DISK.get(error.errno or 0, "name another file or folder, and check its disk or network")
+        note(f"piga: {name}{error.strerror or error}\n  remedy: {remedy}")
         sys.exit(2)
     except KeyboardInterrupt as stop:
         note(stopped_words(stop))
