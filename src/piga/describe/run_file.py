@@ -96,20 +96,12 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
 def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
     why = f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
-    for fix in error.fixes:
-        if fix.key not in ("missing", "damaged_rows"):
-            continue
-        before = dict(draft.document["data"])
-        value = [*before.get("missing", []), *fix.value] if fix.key == "missing" else fix.value
-        draft.put(f"data.{fix.key}", value, why)
-        try:
-            run = read_run(path, content=draft.text().encode())
-        except DataError:
-            run = None
-        if run is not None and run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
+    for change in _of_error(error, draft.document):
+        _, key, value, _ = change
+        run = _read(path, _changed(draft.document, change)) if key in ("missing", "damaged_rows") else error
+        if isinstance(run, Run) and run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
+            draft.put(f"data.{key}", value, why)
             return run
-        draft.comments.pop(f"data.{fix.key}")
-        draft.document["data"] = before
     raise error
 
 

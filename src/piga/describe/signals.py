@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -305,11 +305,10 @@ def put_reference(
         return
     if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
         return
-    for stand in (_HEAD, _ARM):
-        columns = [one for one in log.of(stand.column)[:1] if one.name in log.numbers]
-        held = _holds(draft, log, columns[0]) if columns else None
+    for column in (*log.of("stand-angle")[:1], *log.of("stand-speed")[:1]):
+        held = _holds(draft, log, column) if column.name in log.numbers else None
         if held is not None:
-            _put_stand(draft, log, stand, columns[0], [f"{value:.9g} {columns[0].unit}" for _, value in held])
+            _put_stand(draft, log, column, [f"{value:.9g} {column.unit}" for _, value in held])
             return
 
 
@@ -356,35 +355,23 @@ def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
     )
 
 
-@dataclass(frozen=True)
-class _StandOfColumn:
-    """A stand that a column of the log gives: the kind of the column, the key of its values, and what to check."""
-
-    kind: str
-    column: str
-    words: str
-    key: str
-    remarks: tuple[str, ...] = ()
+_HEAD = (
+    "0 deg has X0 up; change the signs if the head turns the other way",
+    "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)",
+)
+"""What to check of a head."""
 
 
-_HEAD = _StandOfColumn(
-    "dividing-head", "stand-angle", "angle", "positions",
-    (
-        "0 deg has X0 up; change the signs if the head turns the other way",
-        "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)",
-    ),
-)  # fmt: skip
-_ARM = _StandOfColumn("centrifuge", "stand-speed", "speed", "rates")
-
-
-def _put_stand(
-    draft: RunFileDraft, log: LogDescription, stand: _StandOfColumn, column: ColumnGuess, values: list[str]
-) -> None:
-    why = f"{column.name} is the {stand.words} of the stand: {column.reason}"
-    draft.put("stand.kind", stand.kind, why, '  or: kind = "rate-table"')
+def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, values: list[str]) -> None:
+    """The stand of a column: a head of its angles, or an arm of its speeds."""
+    head = column.kind == "stand-angle"
+    why = f"{column.name} is the {'angle' if head else 'speed'} of the stand: {column.reason}"
+    draft.put("stand.kind", "dividing-head" if head else "centrifuge", why, '  or: kind = "rate-table"')
     mean = f"mean of {column.name} in each of {len(values)} segments, in order"
-    draft.put(f"stand.{stand.key}", values, mean, *stand.remarks)
-    if stand is _ARM:
+    if head:
+        draft.put("stand.positions", values, mean, *_HEAD)
+    else:
+        draft.put("stand.rates", values, mean)
         draft.put("stand.down", False, "the list holds the levels up and down as they were run")
         draft.put_fact(log.facts, "stand.radius", "m")
     put_in = draft.document["stand"]
