@@ -268,8 +268,8 @@ class ConstantForce:
     def information(self, run: piga.Run) -> Array:
         """Fisher information of the coefficients (file units).
 
-        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. With a drift
-        the segments are not independent; a scatter moves all increments of a segment alike.
+        ``r = white^2 + count^2/12`` and ``q = walk^2``; the increments' full covariance is inverted. A scatter moves
+        all increments of a segment alike. A drift is not in it.
         """
         steps, h = round(self.seconds * self.rate), 1.0 / self.rate
         r = self.white**2 + self.count**2 / 12.0
@@ -279,13 +279,6 @@ class ConstantForce:
         V += (self.scatter * h) ** 2
         angles = run.output + self.phi
         parts = [self._derivatives(angles[run.segment_index == s], s, h) for s in range(len(self.forces))]
-        if self.drift:
-            t = self._times().ravel()
-            together = np.minimum.outer(np.abs(t), np.abs(t)) * (np.multiply.outer(t, t) > 0.0)
-            whole = np.kron(np.eye(len(parts)), V) + (self.drift * h) ** 2 * together
-            columns = np.concatenate(parts)
-            information: Array = columns.T @ np.linalg.solve(whole, columns)
-            return information
         return sum((part.T @ np.linalg.solve(V, part) for part in parts), np.zeros((len(self.names),) * 2))
 
     @property
@@ -331,26 +324,7 @@ class Joint:
         """The estimate that is put to the test."""
         return piga.calibrate(runs, self.terms)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Coefficients in the order of a result: each run has its phase and its bias."""
-        count = len(self.runs)
-        return tuple(
-            n
-            for name in self.runs[0].names
-            for n in ([f"{name}[run {i + 1}]" for i in range(count)] if name in ("phi", "k0") else [name])
-        )
-
     def truths(self, calibration: piga.Calibration) -> Array:
         """True values in the order of the result, file units."""
         phases = {f"phi[run {i + 1}]": run.phi for i, run in enumerate(self.runs)}
         return np.array([phases.get(c.key, self.runs[0].true_value(c.name)) for c in calibration.coefficients])
-
-    def bound(self, records: list[piga.Run]) -> Array:
-        """Cramer-Rao covariance (file units): the information of the tests adds."""
-        total = np.zeros((len(self.names), len(self.names)))
-        for index, (test, record) in enumerate(zip(self.runs, records, strict=True)):
-            own = [f"{name}[run {index + 1}]" if name in ("phi", "k0") else name for name in test.names]
-            at = [self.names.index(name) for name in own]
-            total[np.ix_(at, at)] += test.information(record)
-        return np.asarray(np.linalg.inv(total), dtype=np.float64)

@@ -57,7 +57,9 @@ def one(seed: int, plan: Plan, number: int) -> Outcome:
     test: Any = scenarios()[plan.name]
     run = test.record(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(plan.number, number))))
     calibration = test.calibrate(run)
-    bound = np.sqrt(np.diag(test.bound(run))) if number < plan.bounds else None
+    bound = (
+        np.sqrt(np.diag(test.bound(run))) if number < plan.bounds and isinstance(test, ConstantForce) else None
+    )
     return of_calibration(calibration, test.truths(calibration), bound)
 
 

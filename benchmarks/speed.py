@@ -81,20 +81,14 @@ W = 2.0 * math.pi * 2.0
 
 def vibration(t: Array) -> Array:
     """Force on all axes (n, 3) [m/s^2]."""
-    return G0 * np.stack(
-        [0.5 + 0.5 * np.sin(W * t), 5.0 * np.cos(W * t + 0.4), 2.0 * np.sin(W * t + 1.0)], axis=-1
-    )
+    x, y, z = 0.5 + 0.5 * np.sin(W * t), 5.0 * np.cos(W * t + 0.4), 2.0 * np.sin(W * t + 1.0)
+    return G0 * np.stack([x, y, z], axis=-1)
 
 
 def vibration_integral(t: Array) -> Array:
-    return G0 * np.stack(
-        [
-            0.5 * t - 0.5 * np.cos(W * t) / W,
-            5.0 * np.sin(W * t + 0.4) / W,
-            -2.0 * np.cos(W * t + 1.0) / W,
-        ],
-        axis=-1,
-    )
+    x = 0.5 * t - 0.5 * np.cos(W * t) / W
+    y, z = 5.0 * np.sin(W * t + 0.4) / W, -2.0 * np.cos(W * t + 1.0) / W
+    return G0 * np.stack([x, y, z], axis=-1)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
@@ -443,10 +437,8 @@ def latency(cal: piga.Calibration) -> Values:
         stream.push(sample)
         late.append(1e6 * (time.perf_counter() - start))
     median, slowest = np.quantile(late[1000:], [0.5, 0.99])
-    return {
-        "latency of one pushed sample, median": median,
-        "latency of one pushed sample, 99 %": slowest,
-    }
+    name = "latency of one pushed sample"
+    return {f"{name}, median": median, f"{name}, 99 %": slowest}
 
 
 def reading(_: list[int]) -> tuple[str, Values]:
@@ -480,17 +472,11 @@ def memory(rows: list[int]) -> tuple[str, Values]:
     (count,) = rows or [132_000_000]
     with record("csv", count) as path:
         out = path.with_name("out")
-        steps: dict[str, tuple[str | Path, ...]] = {
-            "calibrate": (path, "--out", out),
-            "compensate": (
-                path,
-                "--calibration",
-                out / "calibration.json",
-                "--out",
-                path.with_name("ax.csv"),
-            ),
+        own = ("--calibration", out / "calibration.json", "--out", path.with_name("ax.csv"))
+        peaks = {
+            "calibrate": private_memory("calibrate", path, "--out", out),
+            "compensate": private_memory("compensate", path, *own),
         }
-        peaks = {step: private_memory(step, *words) for step, words in steps.items()}
     named = f"private memory, csv of {count / 1e6:g} million rows"
     again = f"python -m benchmarks.speed memory {count}"
     return "reading", {
