@@ -101,7 +101,7 @@ def issue(
         document = {"number": file.certificate.number, "files": files, "cautions": cautions}
         to.tell(lambda: document, str)
     if is_draft(file):
-        note("piga: DRAFT: laboratory or customer are those of the example; change them in --data")
+        note("piga: DRAFT: named so, or laboratory or customer are those of the example; change them in --data")
     for words in [] if as_json else cautions:
         note(f"piga: caution: {words}")
 
