@@ -152,27 +152,6 @@ def test_without_uncertainty_every_output_says_type_a_only(alone):
     assert any("neither stated" in item for item in missing_items(complete("G-1"), alone))
 
 
-def test_compensated_rows_say_type_a_only(alone, sound, tmp_path):
-    """Parquet and Arrow in their metadata, CSV in the name of the column, a set with the instrument's name."""
-    import pyarrow.parquet
-
-    from piga.compensation.result import notes_on
-
-    run = rate_log()
-    for used, said in ((alone, True), (sound, False)):
-        compensated = piga.compensate(run, used, force=True)
-        compensated.to_parquet(tmp_path / "rows.parquet")
-        compensated.to_csv(tmp_path / "rows.csv")
-        metadata = pyarrow.parquet.read_schema(tmp_path / "rows.parquet").metadata
-        assert (TYPE_A_ONLY in metadata.get(b"piga.notes", b"").decode()) == said
-        head = (tmp_path / "rows.csv").read_text().splitlines()[0]
-        assert ("u_ax (Type A only) [m/s^2]" in head) == said
-        assert ("u_ax [m/s^2]" in head) != said
-        streamed = piga.Compensator(used, kind="rate").push(run)
-        assert streamed.notes == compensated.notes == notes_on(used)
-    assert notes_on(replace(alone, serial="A"), sound) == (f"A: {TYPE_A_ONLY}",)
-
-
 def test_a_force_in_g_is_named(recwarn):
     result = piga.calibrate(rate_log(f_unit=G0, uncertainty=KNOWN), TERMS, "rate")
     assert result["scale_factor"].value == pytest.approx(0.8884 * G0, rel=1e-3)

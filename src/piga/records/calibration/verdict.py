@@ -6,8 +6,8 @@ Every page, terminal, file and warning shows this verdict. No other code judges 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sized
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from piga.records.calibration.coefficient import TYPE_A_ONLY, StandSource
@@ -90,8 +90,10 @@ class Verdict:
     @property
     def sources(self) -> str:
         """What the uncertainties contain: ``Type A and 1 of 9 sources``."""
-        known = self.stated or self.unstated
-        return _in_budget(self.stated, self.unstated) if known else "no source of the stand is known"
+        known = len(self.stated) + len(self.unstated)
+        return (
+            f"Type A and {len(self.stated)} of {known} sources" if known else "no source of the stand is known"
+        )
 
     @property
     def warns_of_noise(self) -> bool:
@@ -122,6 +124,12 @@ def verdict(calibration: Calibration) -> Verdict:
     notes = tuple(Doubt(note) for note in calibration.notes)
     if calibration.given:
         return Verdict(notes, not_tested=("a record: there is none",))
+
+    def names(*statuses: str) -> tuple[str, ...]:
+        return tuple(one.name for status in statuses for one in calibration.sources if one.status == status)
+
+    untested, stated = tuple(_not_tested(calibration)), names("stated", "bounded")
+    judged = Verdict(not_tested=untested, stated=stated, unstated=names(*_OPEN))
     first = [*_nominal(calibration), *_explained(calibration)]
     remedies = " ".join(item.remedy for item in first if isinstance(item, Doubt))
     statements = [
@@ -131,16 +139,11 @@ def verdict(calibration: Calibration) -> Verdict:
         *_whiteness(calibration),  # after what may be its cause
         *_separation(calibration),
         *_rows(calibration),
-        *_unstated(calibration),
+        *_unstated(calibration, f"the uncertainties contain {judged.sources}"),
     ]
-    doubts = [item for item in statements if isinstance(item, Doubt)]
-    return Verdict(
-        doubts=tuple(sorted(doubts, key=lambda doubt: not doubt.grave)),
-        tested=tuple(item for item in statements if isinstance(item, str)),
-        not_tested=tuple(_not_tested(calibration)),
-        stated=_names(calibration.sources, *_STATED),
-        unstated=_names(calibration.sources, "unstated", "assumed"),
-    )
+    doubts = sorted((item for item in statements if isinstance(item, Doubt)), key=lambda doubt: not doubt.grave)
+    tested = tuple(item for item in statements if isinstance(item, str))
+    return replace(judged, doubts=tuple(doubts), tested=tested)
 
 
 def scale_over_nominal(calibration: Calibration) -> float:
@@ -254,21 +257,12 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
 
 
-_STATED = "stated", "bounded"
+_OPEN = "unstated", "assumed"
 
 
-def _names(sources: tuple[StandSource, ...], *statuses: str) -> tuple[str, ...]:
-    return tuple(source.name for status in statuses for source in sources if source.status == status)
-
-
-def _in_budget(stated: Sized, unstated: Sized) -> str:
-    return f"Type A and {len(stated)} of {len(stated) + len(unstated)} sources"
-
-
-def _unstated(calibration: Calibration) -> Iterator[str | Doubt]:
+def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]:
     sources = calibration.sources
-    open_ones = [source for source in sources if source.status in ("unstated", "assumed")]
-    contained = f"the uncertainties contain {_in_budget(_names(sources, *_STATED), open_ones)}"
+    open_ones = [source for source in sources if source.status in _OPEN]
     if open_ones:
         alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
         named = ", ".join(map(_open_words, open_ones))
