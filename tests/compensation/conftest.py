@@ -9,4 +9,3 @@ from tests.compensation import test_files_memory
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> None:
     """The kernels of ``piga compensate`` stand on disk: compiling takes memory of its own, once."""
     test_files_memory.memory(test_files_memory.written(tmp_path_factory.mktemp("one"), 2000))
-    test_files_memory.memory(test_files_memory.written_set(tmp_path_factory.mktemp("set"), 3, 2000))

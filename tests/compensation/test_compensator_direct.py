@@ -11,7 +11,6 @@ import piga
 from piga.compensation import Mounted, identify_phase
 from piga.compensation.model import FLAGS
 from tests.calibration.direct import G, Tumble
-from tests.cli.runner import exit_code
 
 pytestmark = pytest.mark.filterwarnings("ignore::piga.errors.CalibrationWarning")
 TRUTH = {"k0": 2e-3, "k2": 20e-6, "k3": 5e-6, "m_Y": 3e-4}
@@ -54,38 +53,6 @@ def test_an_interval_in_which_the_force_passes_zero(name: str) -> None:
     )
     error = piga.compensate(run, truth).ax[3:] / G - 0.5 * (x[3:] + x[2:-1])
     assert np.abs(error).max() < 2e-8
-
-
-def test_velocity_is_that_of_all_counts(tmp_path: Path) -> None:
-    tumble = Tumble(K=5e6, noise=0.0)
-    run = piga.read_run(tumble.write(tmp_path, "counts", "", "5e6 count/s/g"))
-    result = piga.compensate(run, given("count/s", 5e6))
-    inside = run.segment_index == 0
-    assert result.dv[inside].sum() == pytest.approx(G * 9.9, abs=G * 2.0 / 5e6)
-
-
-def test_a_page_shows_the_unit_and_nothing_of_a_gimbal(tmp_path: Path) -> None:
-    tumble = Tumble()
-    path = tumble.write(tmp_path, "rate", "mA", "0.6 mA/g")
-    piga.calibrate(piga.read_run(path)).to_json(tmp_path / "c.json")
-    out = tmp_path / "out.csv"
-    assert (
-        exit_code(
-            "compensate",
-            path,
-            "--calibration",
-            tmp_path / "c.json",
-            "--out",
-            out,
-            "--report",
-            tmp_path / "p.html",
-        )
-        == 0
-    )
-    page = (tmp_path / "p.html").read_text().split("plotly.js v")[0]
-    assert ">mA/g<" in page
-    for word in ("gimbal", "rad/s", "output angle", "Revolution", "phase"):
-        assert word not in page, word
 
 
 def test_what_needs_a_gimbal_is_refused(tmp_path: Path) -> None:

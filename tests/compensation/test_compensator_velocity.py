@@ -112,20 +112,6 @@ def test_phases_of_segments_are_coefficients_of_their_own():
     assert each[2] == pytest.approx(np.hypot(each[0], each[1]), rel=1e-9)
 
 
-def test_correlation_of_coefficients_counts():
-    """Scale factor and bias, each by its own difference of the velocity."""
-    run, std = gapped(), {"scale_factor": 2e-5, "k0": 3e-5}
-    start = piga.compensate(run, calibration_of(VALUES)).dv.sum()
-    K, k0 = (
-        piga.compensate(run, calibration_of(VALUES | {name: VALUES[name] + u})).dv.sum() - start
-        for name, u in std.items()
-    )
-    expected = np.sqrt(K**2 + k0**2 - 1.2 * K * k0)
-    assert piga.compensate(run, correlated(calibration_of(VALUES, std))).u_velocity == pytest.approx(
-        expected, rel=1e-3
-    )
-
-
 @pytest.mark.parametrize("count", [3, 4])
 @pytest.mark.long
 def test_scatter_of_the_velocity_of_a_set(count):

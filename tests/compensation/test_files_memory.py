@@ -26,8 +26,6 @@ try:
 except SystemExit as stop:
     assert not stop.code, stop.code
 """
-MORE = 'base_rate = { columns = ["wx", "wy", "wz"], unit = "rad/s" }\ntemperature = { column = "warm", unit = "degC" }'
-
 pytestmark = [
     pytest.mark.usefixtures("compiled"),
     pytest.mark.slow,
@@ -51,20 +49,6 @@ def written(folder: Path, rows: int, name: str = "run", more: str = "", **others
     return folder / f"{name}.toml"
 
 
-def written_set(folder: Path, count: int, rows: int) -> Path:
-    """``count`` instruments with base rate and temperature, their axes spread over all directions."""
-    t, entries = columns(rows)["t"], []
-    others = {"wx": 1e-5 * t, "wy": 2e-5 * t, "wz": 3e-5 * t, "warm": 20.0 + 0.001 * t}
-    for i, seed in enumerate(np.random.default_rng(3).standard_normal((count, 3, 3))):
-        axes = np.linalg.qr(seed)[0] * np.linalg.det(np.linalg.qr(seed)[0])
-        written(folder, rows, f"i{i}", MORE, psi=columns(rows, tuple(axes[0]))["psi"], **others)
-        entries.append(
-            f'[[triad.instrument]]\nrun = "i{i}.toml"\ncalibration = "cal.json"\naxes = {axes.tolist()}\n'
-        )
-    (folder / "set.toml").write_text("\n".join(entries))
-    return folder / "set.toml"
-
-
 def memory(run: Path, *more: str) -> int:
     """Largest memory of the command [bytes]."""
     words = [str(run), "--out", str(run.parent / "out.parquet"), *more]
@@ -77,20 +61,3 @@ def memory(run: Path, *more: str) -> int:
 def test_a_page(tmp_path: Path, rows: int) -> None:
     """Of a record that is read whole, and of one with more rows than the orders are shown of."""
     assert memory(written(tmp_path, rows), "--report", str(tmp_path / "page.html")) < LIMIT
-
-
-@pytest.mark.parametrize("page", [False, True])
-def test_a_set_of_many_instruments(tmp_path: Path, page: bool) -> None:
-    more = ("--report", str(tmp_path / "page.html")) if page else ()
-    assert memory(written_set(tmp_path, 24, 100_000), *more) < LIMIT
-
-
-def test_a_stand(tmp_path: Path) -> None:
-    """A CSV file of four million rows; the reference is that of a centrifuge."""
-    rows = 4_000_000
-    table = {name: columns(rows)[name] for name in ("t", "psi")} | {"part": np.arange(rows) * 4 // rows}
-    written(tmp_path, 10)
-    pa.csv.write_csv(pa.table(table), tmp_path / "run.csv")
-    stand = 'kind = "centrifuge"\nlatitude = "40 deg"\nlevels = ["1 g", "2 g", "3 g", "1 g"]\ndown = false\ndwell = "999 s"'
-    (tmp_path / "run.toml").write_text(run_text("run.csv", 'segment = "part"', "[stand]", stand))
-    assert memory(tmp_path / "run.toml") < LIMIT

@@ -81,21 +81,7 @@ def test_columns_of_a_pipe(header: str, message: str) -> None:
         refused(sent(pa.table({name: [1.0] for name in names})), f"standard input: {message}")
 
 
-NO_NUMBERS = [
-    "nan",
-    "inf",
-    "-Infinity",
-    "0_14",
-    "\uff11\uff12",
-    "1e999",
-    "0x10",
-    "",
-    "1 2",
-    "\u0661",
-    "1e",
-    "--1",
-    "\0",
-]
+NO_NUMBERS = ["nan", "inf", "-Infinity", "0_14", "１２", "1e999", "0x10", "", "1 2", "١", "1e", "--1", "\x00"]
 """What Python's float() takes for a number, or a logger writes in place of one."""
 
 
@@ -134,25 +120,6 @@ def test_a_line_without_end() -> None:
     with pytest.raises(piga.DataError, match=r"line 3 has no end: the stream was cut off"):
         compensate_lines(io.StringIO("t,output,fx,fy,fz\n0,0,9.8,1,0\n0.01,0.1,9.8,1,0.12"), answer, stream)
     assert answer.getvalue().count("\n") == 2
-
-
-@pytest.mark.parametrize("compression", [None, "lz4"])
-def test_cut_and_damaged_arrow_streams(compression: str | None) -> None:
-    """Every length of a stream, and many a changed byte: answered, or refused in words."""
-    whole = sent(pa.table({name: np.arange(4.0) for name in NAMES}), 2, compression).getvalue()
-    draw = np.random.default_rng(3)
-    cases = [whole[:length] for length in range(0, len(whole), 23)]
-    for _ in range(80):
-        changed = bytearray(whole)
-        changed[draw.integers(len(whole))] = draw.integers(256)
-        cases.append(bytes(changed))
-    cal = calibration_of(CAL)
-    for case in cases:
-        try:
-            with np.errstate(all="ignore"):  # compiled kernels do not warn
-                compensate_arrow(io.BytesIO(case), io.BytesIO(), piga.Compensator(cal))
-        except piga.DataError as error:
-            assert str(error).startswith("standard input: ")  # noqa: PT017 - either outcome is right
 
 
 @pytest.mark.parametrize("kind", [0, 2, 3, 4, 5, 6, 255])

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import piga
 from piga.instrument import Instrument, closed_form, closed_form_turns
@@ -101,59 +99,3 @@ def test_bad_input_is_named(t, a_x, message):
         closed_form(PUBLISHED, t, a_x, 0.0, 0.0)
     with pytest.raises(piga.ArgumentError, match="base_rate: shape"):
         closed_form(PUBLISHED, 1.0, 1.0, 0.0, 0.0, base_rate=[1.0])
-
-
-# --- symmetries of the equation -------------------------------------------------------------------
-
-angles = st.floats(-6.0, 6.0)
-forces = st.floats(-30.0, 30.0)
-spans = st.floats(-100.0, 100.0)
-betas = st.floats(-0.05, 0.05)
-FAST = settings(max_examples=60, deadline=None)
-
-
-def _condition(inst, f, t):
-    """Bound of d(alpha)/d(alpha0): what rounding of the start can grow to."""
-    a, b = abs(f[0]), np.hypot(f[1], f[2]) * abs(inst.tan_beta)
-    growth = math.sqrt(abs((a - b) * (a + b))) * inst.scale_factor * abs(t)
-    return 1e-12 * max(1.0, math.exp(min(growth, 30.0)) if b > a else (a + b) / max(a - b, 1e-300))
-
-
-@FAST
-@given(betas, angles, forces, forces, forces, spans)
-def test_time_reversal(beta, alpha0, a_x, a_Y, a_Z, t):
-    inst = Instrument(0.09, beta, alpha0)
-    alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
-    back, _ = closed_form(Instrument(0.09, beta, float(alpha)), -t, a_x, a_Y, a_Z)
-    assert abs(back - alpha0) < _condition(inst, (a_x, a_Y, a_Z), t)
-
-
-@FAST
-@given(betas, angles, forces, forces, forces, spans)
-def test_mirror(beta, alpha0, a_x, a_Y, a_Z, t):
-    """(alpha, a_x, a_Y, a_Z) -> (-alpha, -a_x, a_Y, -a_Z)."""
-    alpha, rate = closed_form(Instrument(0.09, beta, alpha0), t, a_x, a_Y, a_Z)
-    mirrored, mirrored_rate = closed_form(Instrument(0.09, beta, -alpha0), t, -a_x, a_Y, -a_Z)
-    assert mirrored == pytest.approx(-alpha, abs=1e-13 * max(1.0, abs(alpha)))
-    assert mirrored_rate == pytest.approx(-rate, abs=1e-13)
-
-
-@FAST
-@given(betas, angles, forces, forces, forces, spans, angles)
-def test_rotation_of_the_transverse_frame(beta, alpha0, a_x, a_Y, a_Z, t, turn):
-    inst = Instrument(0.09, beta, alpha0)
-    alpha, _ = closed_form(inst, t, a_x, a_Y, a_Z)
-    c, s = math.cos(turn), math.sin(turn)
-    turned, _ = closed_form(Instrument(0.09, beta, alpha0 + turn), t, a_x, c * a_Y - s * a_Z, s * a_Y + c * a_Z)
-    scale = max(1.0, abs(t) * 3.0)
-    assert abs(turned - turn - alpha) < scale * _condition(inst, (a_x, a_Y, a_Z), t)
-
-
-@FAST
-@given(betas, angles, forces, forces, forces, st.floats(0.0, 50.0), st.floats(0.0, 50.0))
-def test_composition_of_steps(beta, alpha0, a_x, a_Y, a_Z, first, second):
-    inst = Instrument(0.09, beta, alpha0)
-    whole, _ = closed_form(inst, first + second, a_x, a_Y, a_Z)
-    half, _ = closed_form(inst, first, a_x, a_Y, a_Z)
-    parts, _ = closed_form(Instrument(0.09, beta, float(half)), second, a_x, a_Y, a_Z)
-    assert abs(parts - whole) < 10 * _condition(inst, (a_x, a_Y, a_Z), first + second)

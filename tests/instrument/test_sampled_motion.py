@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import piga
-from piga._kernels.motion.step import split_turns
 from piga.instrument import (
     ErrorModel,
     Instrument,
@@ -162,23 +160,6 @@ def test_a_million_samples_do_not_lose_the_angle():
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
 
 
-def test_a_thousand_million_turns_before_leave_the_fraction_alone():
-    start = 2.0**33  # rad; as a float64 the angle resolves 2e-6 rad here
-    turns, rest = split_turns(start)
-    assert turns > 1.3e9
-    t, f = np.arange(300) * 0.02, np.random.default_rng(3).normal(0.0, 20.0, (300, 3))
-    far, near = Instrument(0.09, 0.02, start), Instrument(0.09, 0.02, rest)
-    assert np.array_equal(
-        propagate_rate(far, t, f, between="linear"), propagate_rate(near, t, f, between="linear")
-    )
-    assert (
-        np.abs(
-            propagate(far, t, f, between="linear") - start - (propagate(near, t, f, between="linear") - rest)
-        ).max()
-        < 4e-6
-    )
-
-
 records = st.integers(2, 6).flatmap(
     lambda n: st.lists(
         st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)), min_size=n, max_size=n
@@ -197,50 +178,11 @@ def test_time_reversal(force, alpha0):
     assert back[::-1] == pytest.approx(alpha, abs=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
-@given(records, st.floats(-4, 4), st.floats(-4, 4))
-def test_mirror_and_rotation_of_the_transverse_frame(force, alpha0, turn):
-    f = np.array(force)
-    t = np.arange(len(f)) * 0.1
-    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
-    mirrored = propagate(Instrument(0.09, 0.02, -alpha0), t, f * [-1, 1, -1], between="linear")
-    assert mirrored == pytest.approx(-alpha, abs=1e-13)
-    c, s = math.cos(turn), math.sin(turn)
-    turned = propagate(
-        Instrument(0.09, 0.02, alpha0 + turn), t, f @ [[1, 0, 0], [0, c, s], [0, -s, c]], between="linear"
-    )
-    assert turned - turn == pytest.approx(alpha, abs=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
-@given(records, st.floats(-4, 4), st.integers(1, 5))
-def test_composition(force, alpha0, cut):
-    f = np.array(force)
-    cut = min(cut, len(f) - 1)
-    t = np.arange(len(f)) * 0.1
-    whole = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
-    rest = propagate(Instrument(0.09, 0.02, float(whole[cut])), t[cut:], f[cut:], between="linear")
-    assert rest == pytest.approx(whole[cut:], abs=1e-13)
-
-
 def test_one_sample_and_zero_force():
     assert np.array_equal(propagate(INST, [3.0], [[1.0, 2.0, 3.0]], between="linear"), [0.4])
     assert propagate(INST, [0.0, 1.0], np.zeros((2, 3)), between="linear") == pytest.approx(
         [0.4, 0.4], abs=1e-16
     )
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("with_rate", [False, True])
-def test_no_memory_is_taken_beside_the_output(with_rate):
-    n = 500_000
-    t, f, omega = np.arange(n) * 1e-3, np.ones((n, 3)), np.zeros((n, 3))
-    propagate(INST, t[:9], f[:9], omega[:9], with_rate=with_rate, between="linear")
-    tracemalloc.start()
-    result = propagate(INST, t, f, omega, with_rate=with_rate, between="linear")
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak - np.asarray(result).nbytes < 100_000
 
 
 @pytest.mark.parametrize(

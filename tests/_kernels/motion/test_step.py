@@ -15,7 +15,6 @@ from piga._kernels.motion.step import (
     step_matrix,
     unwrapped,
 )
-from piga.instrument import Instrument, propagate_increments
 
 pytestmark = pytest.mark.interpreted
 
@@ -68,30 +67,3 @@ def test_a_step_of_pure_turning_turns_by_it(A):
         for count in range(1, 6):
             turns, rest, p, q = advance(turns, rest, p, q, A, 0.0, 0.0)
             assert 2.0 * math.pi * turns + rest == pytest.approx(start + count * A, abs=1e-12)
-
-
-@pytest.mark.parametrize("m", [3, 5])
-def test_slopes_of_a_parabola_are_exact_in_every_interval(m):
-    """Mean rates of quadratic input over uneven intervals give the motion with the true slopes."""
-    t = np.cumsum(np.r_[0.3, np.random.default_rng(m).uniform(0.5, 2.0, m)])
-    c = np.array([[1.0, 0.4, -0.3], [0.2, -0.7, 0.9], [0.5, 0.1, -0.2]])
-    integral = t[:, None] * c[0] + t[:, None] ** 2 / 2 * c[1] + t[:, None] ** 3 / 3 * c[2]
-    gain = 0.1 * np.array([1.0, 0.2, 0.2])
-    h = np.diff(t)
-    mean, slope = (
-        np.diff(integral, axis=0) / h[:, None] * gain,
-        (c[1] + (t[1:] + t[:-1])[:, None] * c[2]) * gain,
-    )
-    turns, rest, p, q = 0.0, 0.0, 0.0, 1.0
-    expected = [0.0]
-    for k in range(m):
-        (a, y, z), (sa, sy, sz), cross = mean[k], slope[k], h[k] ** 3 / 12
-        step = (
-            h[k] * a + cross * (y * sz - z * sy),
-            h[k] * y + cross * (a * sz - z * sa),
-            h[k] * z - cross * (a * sy - y * sa),
-        )
-        turns, rest, p, q = advance(turns, rest, p, q, *step)
-        expected.append(2.0 * math.pi * turns + rest)
-    alpha = propagate_increments(Instrument(0.1, math.atan(0.2)), t, np.diff(integral, axis=0))
-    assert alpha == pytest.approx(np.array(expected), abs=1e-13)

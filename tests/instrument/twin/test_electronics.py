@@ -8,7 +8,6 @@ import pytest
 from piga.errors import ArgumentError
 from piga.instrument.twin.electronics import (
     Electronics,
-    Temperature,
     held_noise,
     interpolate,
     output_phases,
@@ -71,11 +70,6 @@ def test_interpolation_is_exact_for_cubics_and_at_nodes():
     at = np.array([0.0, 0.05, 0.33, 0.3, 1.0, 1.02])
     assert interpolate(t, 0.0, 0.1, cubic, slope) == pytest.approx(cubic, abs=0.0)
     assert interpolate(at, 0.0, 0.1, cubic, slope) == pytest.approx(1 + 2 * at - at**2 + 3 * at**3, abs=1e-14)
-
-
-def test_temperature():
-    kelvin = Temperature(300.0, 0.01, 2.0, 100.0).at(np.array([0.0, 25.0]))
-    assert kelvin == pytest.approx([300.0, 302.25])
 
 
 @pytest.mark.parametrize(
