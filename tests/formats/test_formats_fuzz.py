@@ -82,14 +82,6 @@ def test_mutated_run_files(tmp_path: Path) -> None:
         outcome(lambda: read_run_file(path))
 
 
-def test_mutated_records(tmp_path: Path) -> None:
-    draw = seeded(3)
-    run = write_run(tmp_path)
-    for _ in range(250 * SCALE):
-        (tmp_path / "run.csv").write_bytes(mutated(LOG, draw))
-        outcome(lambda: piga.read_run(run))
-
-
 @pytest.mark.parametrize("name", list(WRITERS))
 def test_mutated_containers(tmp_path: Path, name: str) -> None:
     draw = seeded(4)

@@ -48,18 +48,6 @@ def test_degrees_of_freedom_as_allantools(m: int, exponent: int, kind: str):
     assert equivalent_degrees(1001, m, ((exponent, 1.0),), kind) == pytest.approx(reference, rel=0.012)
 
 
-def test_band_as_allantools():
-    """68 % band of chi-square with these degrees of freedom."""
-    x = angle(np.random.default_rng(2), 1001, 1e-10, 0.0)
-    t, begins = one_stretch(1001)
-    deviation = allan_deviation(x, t, begins, noise=NOISE)
-    for index in (0, deviation.tau.size - 1):
-        low, high = allantools.confidence_interval(
-            deviation.deviation[index], deviation.degrees_of_freedom[index], ci=0.682689492137
-        )
-        assert (deviation.lower[index], deviation.upper[index]) == pytest.approx((low, high), rel=1e-6)
-
-
 def test_bands_hold_the_model():
     """In 68 % of many records the band holds the deviation of the noise put in, at short and at long times."""
     rng, white, walk = np.random.default_rng(3), 4e-10, 1e-10

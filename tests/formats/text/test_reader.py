@@ -47,15 +47,6 @@ def test_first_lines_that_are_too_long(tmp_path: Path, content: bytes, row: int)
     assert caught.value.remedy
 
 
-@pytest.mark.parametrize("size", [3 << 20, 5 << 20])
-def test_a_long_line_further_on_is_named_by_its_row(tmp_path: Path, size: int) -> None:
-    content = HEADER + ROWS + b"1" * size + b"\n" + ROWS
-    with pytest.raises(piga.DataError, match="row 42 has 1 cell, the header has 5"):
-        read(tmp_path, content)
-    masked = read(tmp_path, HEADER + ROWS + b"1" * size + b"\n", data="damaged_rows = 'mask'")
-    assert (masked.size, events(masked)) == (40, {"short-row": 1})
-
-
 def test_a_line_without_end(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match="a line is longer than 16 MiB"):
         read(tmp_path, HEADER + ROWS + b"1" * (40 << 20) + b"\n")
