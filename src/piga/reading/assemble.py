@@ -142,7 +142,8 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     """Leave out the rows that cannot be used. Returns the time [s] of the others."""
     for values in raw.numbers.values():
         raw.usable &= np.isfinite(values)
-    _check_usable(raw)
+    if not any(event.kind in ("missing-value", "no-segment", "moving") for event in raw.events):
+        raw.note("not-finite", ~raw.usable, "the row is not used")
     limits = data.range or {}
     stand = data.segment.holds_of if isinstance(data.segment, PositionColumn) else None
     for name in raw.numbers:
@@ -156,18 +157,10 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     t = raw.time(data)
     if data.settle is not None:
         leave_out_settling(raw, t, to_si(data.settle, "s"))
-    _check_usable(raw)
-    leave_out_repeats(raw, t)
-    return raw.keep_usable(t)
-
-
-def _check_usable(raw: RawColumns) -> None:
-    """Refuse a file without a usable row; count rows that are not used for a reason not counted before."""
     if not raw.usable.any():
         raise raw.refusal("no row has all needed values", "check the columns in [data]")
-    reasons = ("missing-value", "saturated", "no-segment", "not-finite", "left-out", "moving", "settling")
-    if not any(event.kind in reasons for event in raw.events):
-        raw.note("not-finite", ~raw.usable, "the row is not used")
+    leave_out_repeats(raw, t)
+    return raw.keep_usable(t)
 
 
 def _check_enough(path: Path, raw: RawColumns, data: DataTable, base: TimeBase, rows_read: int) -> None:
