@@ -88,33 +88,6 @@ def test_asymmetry_of_the_scale_factor_is_found_and_taken_out(tmp_path: Path) ->
     assert abs(np.corrcoef(force - x, np.abs(x))[0, 1]) < 0.1
 
 
-def test_text_and_page_show_the_unit_and_nothing_of_a_gimbal(
-    made: tuple[str, Tumble, Path], tmp_path: Path
-) -> None:
-    name, _, path = made
-    result = piga.calibrate(piga.read_run(path))
-    result.report(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text().split("plotly.js v")[0]
-    shown = page + result.summary() + repr(result) + repr(piga.read_run(path))
-    assert f"{CASES[name][-1]}/g" in shown
-    assert f"{result.residual_unit}, before -> after" in shown
-    for word in (
-        "gimbal",
-        "rad/s",
-        "residual angle",
-        "noise of the angle",
-        "arcsec/",
-        "revolution",
-        "Turns",
-        "ml/H",
-    ):
-        assert word not in shown, word
-    assert "Phase of the output" not in shown
-    for figure in ("orders", "ripple"):
-        with pytest.raises(piga.CalibrationError, match="no data"):
-            getattr(result.plot, figure)()
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -33,26 +31,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def wrapped(folder: Path, bits: int) -> Path:
-    """The record as a counter of ``bits`` would have written it."""
-    header, *rows = (
-        gzip.decompress(files("piga.data").joinpath("tumble-a.csv.gz").read_bytes()).decode().splitlines()
-    )
-    column = header.split(",").index("counts")
-    changed = [header]
-    for row in rows:
-        cells = row.split(",")
-        cells[column] = str((int(cells[column]) + 2**bits - 40_000) % 2**bits)
-        changed.append(",".join(cells))
-    (folder / f"wrapped-{bits}.csv").write_text("\n".join(changed) + "\n")
-    text = (folder / "tumble-a.toml").read_text().replace("tumble-a.csv", f"wrapped-{bits}.csv")
-    path = folder / f"wrapped-{bits}.toml"
-    path.write_text(
-        text.replace("counts_per_revolution = 72000", f"counts_per_revolution = 72000\ncounter_bits = {bits}")
-    )
-    return path
-
-
 def check(calibration: piga.Calibration) -> None:
     for name, value in TRUTH.items():
         assert calibration[name].value == pytest.approx(value, abs=TOLERANCE[name]), name
@@ -76,16 +54,6 @@ def test_known_coefficients_with_a_phase_for_each_segment(folder: Path) -> None:
     check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
     with pytest.raises(piga.IdentifiabilityError, match="servo_damping"):
         piga.calibrate(run, phases="per-segment")
-
-
-def test_a_wrapping_counter(folder: Path) -> None:
-    run = piga.read_run(wrapped(folder, 16))
-    result = {event.kind: event.count for event in run.quality.events}
-    assert result["phase-lost"] == 23
-    assert result["counter-roll-over"] > 100
-    check(piga.calibrate(run, [*WITHOUT, "servo"], phases="per-segment"))
-    with pytest.raises(piga.CalibrationError, match="rolled over unseen"):
-        piga.calibrate(run)
 
 
 def test_without_the_terms_of_the_servo_the_interval_of_k_holds_both_meanings(folder: Path) -> None:

@@ -86,18 +86,6 @@ def _rows(run: piga.Run, mask: np.ndarray) -> piga.Run:
     return replace(made, estimation=run.estimation)
 
 
-def test_two_runs_that_cannot_separate_terms_either(runs: list[piga.Run]) -> None:
-    with pytest.raises(piga.IdentifiabilityError, match="2 runs together cannot"):
-        piga.calibrate(runs, ["scale_factor", "k0", "m_Z", "k_ZZ"])
-
-
-def test_every_segment_with_its_own_phase(runs: list[piga.Run], together: piga.Calibration) -> None:
-    calibration = piga.calibrate(runs, TERMS, phases="per-segment", per_run=[])
-    assert calibration["phi[run 2:3]"].std < 0.5
-    for name in TERMS:
-        assert calibration[name].value == pytest.approx(together[name].value, abs=3.0 * calibration[name].std)
-
-
 @pytest.mark.parametrize("name", ["static", "coarse-slow"])
 def test_by_its_summary_as_the_run_alone(tmp_path: Path, name: str) -> None:
     """One run by its summary is that run."""

@@ -131,14 +131,6 @@ def test_a_ripple_that_is_no_beat_is_a_line_without_explanation():
     assert [(order, explained) for order, _, explained in spectrum.lines()] == [(2.0, False)]
 
 
-def test_noise_before_the_rounding_hides_the_beat():
-    """With noise of one count there is no line, and none is expected."""
-    result = counted(507.976, white=COUNT)
-    spectrum = order_spectrum(result, K, (float(np.std(result.after)), 0.0))
-    assert not spectrum.lines()
-    assert np.nanmax(spectrum.counts / spectrum.noise) < 0.1
-
-
 def test_the_size_of_a_count_is_read_from_the_angles():
     psi = COUNT * np.round(np.cumsum(np.random.default_rng(2).uniform(0, 9, 4000)))
     assert count_size(psi) == pytest.approx(COUNT, rel=1e-9)

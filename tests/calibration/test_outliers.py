@@ -10,6 +10,7 @@ import pytest
 import piga
 from piga.calibration.outliers import limit
 from piga.units import G0
+from tests.calibration.made.independent import Bench
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
 pytestmark = pytest.mark.long
@@ -179,3 +180,82 @@ def test_one_wrong_reading_of_thirty_two() -> None:
         alone += sum(outlier.samples for outlier in result.outliers) == 1
     assert kept >= 14
     assert alone >= 12
+
+
+# --- wrong readings at the ends of a segment, and slips of the counter; limits are those of use
+
+
+COUPLED = ("scale_factor", "tan_beta", "k0")
+BENCH = Bench()
+ENDS = {"start": (True, False), "end": (False, True), "both": (True, True)}
+
+
+def spoiled(angle: np.ndarray, position: int, ends: tuple[bool, bool], count: int, offset: float) -> np.ndarray:
+    """The angles with ``count`` readings at the ends of a position off by ``offset``."""
+    result = angle.copy()
+    if ends[0]:
+        result[position, :count] += offset
+    if ends[1]:
+        result[position, -count:] -= offset
+    return result
+
+
+def check(bench: Bench, result: piga.Calibration, clean: piga.Calibration) -> None:
+    """Phase and tan_beta within 4 u, and u of the phase not above 1.2 of the clean record's."""
+    for name in ("phi", "tan_beta"):
+        assert abs(bench.miss(result, name)) < 4.0 * clean[name].std, name
+    assert result["phi"].std < 1.2 * clean["phi"].std
+
+
+@pytest.fixture(scope="module")
+def angle() -> np.ndarray:
+    return BENCH.angles(np.random.default_rng([1, 19]))
+
+
+@pytest.fixture(scope="module")
+def clean(angle: np.ndarray) -> piga.Calibration:
+    return piga.calibrate(BENCH.run(angle), COUPLED)
+
+
+@pytest.mark.parametrize("ends", ENDS)
+@pytest.mark.parametrize(
+    ("position", "count", "offset"),
+    [(0, 3, np.pi), (3, 3, 0.5), (3, 7, 0.1), (7, 7, 0.5)],
+)
+def test_few_wrong_readings_do_not_turn_the_phase(ends, position, count, offset, angle, clean):
+    run = BENCH.run(spoiled(angle, position, ENDS[ends], count, offset))
+    check(BENCH, piga.calibrate(run, COUPLED), clean)
+
+
+def test_many_wrong_readings_at_an_end_are_a_doubt_with_its_remedy(angle, clean):
+    """They look like a slip. The residuals say that the phase is wrong, and the remedy gives the coefficients."""
+    run = BENCH.run(spoiled(angle, 3, (False, True), 15, 0.3))
+    (event,) = [one for one in piga.calibrate(run, COUPLED).quality.events if one.kind == "outlier-jump"]
+    assert "phases = 'per-segment'" in event.detail
+    assert piga.calibrate(run, COUPLED).verdict.grade != "clear"
+    free = piga.calibrate(run, COUPLED, phases="per-segment")
+    for name in COUPLED:
+        assert abs(BENCH.miss(free, name)) < 4.0 * clean[name].std, name
+
+
+@pytest.mark.parametrize("offset", [0.05, 0.3])
+def test_a_slip_of_the_counter_is_taken_off_what_follows(offset, angle, clean):
+    """Two thirds of the way through a position, and 15 readings before its end."""
+    for row in (534, 801 - 15):
+        slipped = angle.copy()
+        slipped[4, row:] += offset
+        slipped[5:] += offset
+        calibration = piga.calibrate(BENCH.run(slipped), COUPLED)
+        check(BENCH, calibration, clean)
+        texts = [event.detail for event in calibration.quality.events if event.kind == "outlier-jump"]
+        assert len(texts) == 1
+        assert "all later readings are corrected by it" in texts[0]
+
+
+def test_a_jump_ends_with_its_segment_where_each_has_a_phase(angle):
+    """A slip in position 2 that the counter loses again at the next position: later phases stay as they are."""
+    slipped = angle.copy()
+    slipped[2, 400:] += 0.3
+    before, after = (piga.calibrate(BENCH.run(a), COUPLED, phases="per-segment") for a in (angle, slipped))
+    for one, other in zip(after.coefficients, before.coefficients, strict=True):
+        assert one.value == pytest.approx(other.value, abs=other.std), one.key

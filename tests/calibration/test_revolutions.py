@@ -112,42 +112,6 @@ def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     assert len(calibration.segments) == 12, "two positions have their lock zone at 0.87 of the drive"
 
 
-@pytest.mark.long
-@pytest.mark.slow
-@pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4)])
-def test_intervals_near_lock_hold(walk: float, white: float) -> None:
-    """300 records: 95 % intervals hold in 92 % at least, and a walk alone is not overstated by more than a quarter."""
-    held: dict[str, list[tuple[float, bool]]] = {}
-    for run in near_lock(np.random.default_rng([3, 62]), 300, walk, white):
-        calibration = piga.calibrate(
-            run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment"
-        )
-        for name, result in missed(calibration).items():
-            held.setdefault(name, []).append(result)
-    for name, results in held.items():
-        assert np.mean([inside for _, inside in results]) > 0.92, name
-        assert np.std([z for z, _ in results]) < 1.1, name
-
-
-@pytest.mark.long
-def test_a_position_at_the_edge_of_lock_is_left_out() -> None:
-    """a/b = 1.03: one turn in ten minutes, nearly all of it at one angle."""
-    t = np.tile(np.arange(0.0, 900.0, 0.25), 4)
-    n = t.size // 4
-    f = np.repeat(
-        np.array([[0.103, 5.0, 0.0], [1.0, 0.0, 0.1], [-1.0, 0.1, 0.0], [0.5, 0.5, 0.1]]) * G0, n, axis=0
-    )
-    segment = np.repeat(np.arange(4, dtype=np.int32), n)
-    start = piga.Instrument(scale_factor=SCALE, beta=float(np.arctan(0.02)))
-    parts = [piga.propagate(start, t[:n], f[segment == k], between="linear") for k in range(4)]
-    output = np.concatenate(parts) + 1e-5 * np.random.default_rng(5).standard_normal(t.size)
-    run = piga.Run.from_arrays(t + 1000.0 * segment, output, f, scale_factor=SCALE, segment=segment, units="SI")
-    calibration = piga.calibrate(run, ("scale_factor", "k0"), "revolutions")
-    event = next(e for e in calibration.quality.events if e.kind == "near-lock")
-    assert event.count == 1
-    assert len(calibration.segments) == 3
-
-
 # --- whole revolutions
 
 

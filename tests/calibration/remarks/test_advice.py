@@ -24,14 +24,6 @@ STRONG = Scenario(
 )  # fmt: skip
 
 
-def told(run, terms=TERMS):
-    """All that is advised: by the result, or by the remedy of a refusal."""
-    try:
-        return " | ".join(piga.calibrate(run, terms).diagnostics.advice)
-    except PigaError as error:
-        return str(error)
-
-
 def advised(run, terms=TERMS):
     """The advice itself, whether or not a calibration would ask for it."""
     run = replace(run, source="run.csv")
@@ -165,28 +157,15 @@ def test_a_log_of_rates_is_judged_too(good):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda run: columns(run, [0, 2, 1]),
-        lambda run: columns(run, [1, 0, 2]),
-        lambda run: columns(run, [0, 1, 2], (-1, 1, 1)),
-        lambda run: replace(run, output=-run.output),
-        lambda run: replace(run, f=run.f / 9.80665),
-        lambda run: replace(run, output=run.output * 57.29578),
-    ],
-    ids=["swap Y0 Z0", "swap X0 Y0", "X0", "output", "reference unit", "output unit"],
-)
-def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(good, wrong):
-    words = told(wrong(good))
-    assert "not applied" in words
-    try:
-        calibration = piga.calibrate(wrong(good), TERMS)
-    except PigaError:
-        return
-    assert not calibration.diagnostics.missing_terms
-    assert not any("without segment" in note or "missing term" in note for note in calibration.notes)
-    assert calibration.notes[0] == calibration.diagnostics.advice[0]
+def test_a_calibration_gives_the_advice_and_no_other_remark_on_the_same_cause(good):
+    for wrong in (columns(good, [0, 2, 1]), replace(good, output=good.output * 57.29578)):
+        calibration = piga.calibrate(wrong, TERMS)
+        assert "not applied" in calibration.diagnostics.advice[0]
+        assert not calibration.diagnostics.missing_terms
+        assert not any("without segment" in note or "missing term" in note for note in calibration.notes)
+        assert calibration.notes[0] == calibration.diagnostics.advice[0]
+    with pytest.raises(PigaError, match="not applied"):
+        piga.calibrate(columns(good, [1, 0, 2]), TERMS)
 
 
 @pytest.mark.parametrize("name", ["static", "centrifuge", "near-critical"])

@@ -75,26 +75,10 @@ def test_the_bias_is_missed_too():
     assert first.estimate[0] == pytest.approx(1.6e-3, abs=5.0 * first.standard_uncertainty[0])
 
 
-def test_the_coupling_is_missed_too():
-    run = replace(EVERYWHERE, forces=around(6), seconds=6.0).record(np.random.default_rng(6))
-    first = piga.calibrate(run, ("scale_factor", "k0")).diagnostics.missing_terms[0]
-    assert first.terms == ("tan_beta",)
-    assert first.estimate[0] == pytest.approx(3.6e-4, rel=0.05)
-
-
 def test_two_missing_terms_are_both_found():
     run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
     calibration = piga.calibrate(with_term(run, "k_YZ", 1e-4), TERMS)
     assert [m.terms for m in calibration.diagnostics.missing_terms] == [("k2",), ("k_YZ",)]
-
-
-def test_adding_the_term_ends_the_suggestion_and_confirms_its_size():
-    run = with_term(EVERYWHERE.record(np.random.default_rng(4)), "k2", 2e-4)
-    first = piga.calibrate(run, TERMS).diagnostics.missing_terms[0]
-    full = piga.calibrate(run, (*TERMS, "k2"))
-    assert not full.diagnostics.missing_terms
-    added = next(c for c in full.coefficients if c.name == "k2")
-    assert first.estimate[0] == pytest.approx(added.value, abs=2.0 * first.standard_uncertainty[0])
 
 
 def test_what_the_model_cannot_tell_apart_is_not_suggested():
@@ -117,13 +101,6 @@ def test_errors_of_single_positions_are_not_taken_for_a_term():
             piga.calibrate(replace(run, f=run.f + off[run.segment_index]), TERMS).diagnostics.missing_terms
         )
     assert alarms == 0
-
-
-@pytest.mark.parametrize("name", ["static", "centrifuge", "white", "walk"])
-def test_a_right_model_gets_no_suggestion(name):
-    scenario = SCENARIOS[name]
-    calibration = scenario.calibrate(scenario.record(np.random.default_rng(8)))
-    assert not calibration.diagnostics.missing_terms
 
 
 WARMING = Bench(
