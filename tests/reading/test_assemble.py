@@ -66,7 +66,7 @@ def test_a_gap_inside_a_segment_loses_the_phase_of_a_wrapping_counter(tmp_path: 
     rows = [",".join([c if k != 1 else str(int(c) % 65536) for k, c in enumerate(r.split(","))]) for r in rows]
     run = read(tmp_path, rows, instrument="counter_bits = 16")
     assert run.labels == ("all", "all/2")
-    assert events(run)["segment-split"] == 1
+    assert events(run)["phase-lost"] == 1
 
 
 @pytest.mark.parametrize("fold", ['"360 deg"', "360"], ids=["with its unit", "in the unit of the column"])

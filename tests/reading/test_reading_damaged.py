@@ -238,7 +238,7 @@ def signals() -> list[Case]:
         error("reset", changed(reset), r"row 22, column 'n': the counter goes to 0.*reset", place=True),
         error("reset-declared-16", changed(reset), r"row 22, column 'n': the counter goes to 0", place=True,
               instrument="counter_bits = 16"),
-        repair("reset-at-gap", changed(reset_at_gap), {"gap": 1, "counter-reset": 1, "phase-lost": 1, "segment-split": 1},
+        repair("reset-at-gap", changed(reset_at_gap), {"gap": 1, "counter-reset": 1, "phase-lost": 1},
                used=38),
         repair("sequence-gap", seq, {"sequence-gap": 1, "gap": 1}, used=37, data=sequence),
         error("one-row", text(rows(1)), "fewer than two usable rows"),

@@ -30,7 +30,7 @@ from piga.reading.checks import (
 )
 from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
 from piga.records.arrays import empty, largest_size, norms, scaled, stored
-from piga.records.calibration.diagnostics import Event, Quality
+from piga.records.calibration.diagnostics import Quality
 from piga.records.run import Run, TimeBase, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
@@ -231,9 +231,8 @@ def _output(
     output, lost = unwrapped(raw, name, base, scale, largest)
     if data.output.kind == "pulses" and scale.unit == "rad":
         at = np.flatnonzero(base.begins)[1:]
-        at = at[
-            base.step[at] > (raw.rows[at] - raw.rows[at - 1] + 0.5) * base.nominal
-        ]  # rows are missing before
+        rows = raw.rows[at] - raw.rows[at - 1]
+        at = at[base.step[at] > (rows + 0.5) * base.nominal]  # rows of the log are missing before
         lost[at] = True
         raw.note("pulses-lost", at, "the pulses of missing rows are not known; the phase is new")
     return scaled(output, -1.0) if data.output.direction < 0 else output, lost
@@ -285,10 +284,8 @@ def _split_lost(
         parts[old] = parts.get(old, 0) + 1
         names.append(raw.labels[old] + ("" if parts[old] == 1 else f"/{parts[old]}"))
         groups.append(groups[-1] + int(lost[row]))
-    fresh = starts[lost[starts]]
-    detail = "the counter may have rolled over unseen; the zero of the output angle is new there"
-    raw.note("phase-lost", fresh, detail)
-    inside = int(np.count_nonzero(raw.segment[fresh] == raw.segment[fresh - 1]))
-    if inside:
-        raw.events.append(Event("segment-split", inside, None, "a gap inside a segment, phase lost"))
+    detail = (
+        "the counter may have rolled over unseen; a segment begins there with a new zero of the output angle"
+    )
+    raw.note("phase-lost", starts[lost[starts]], detail)
     return stored(np.cumsum(begins, dtype=np.int32)), tuple(names), tuple(groups)

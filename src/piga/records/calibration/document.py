@@ -146,6 +146,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     for key, entries in (
         ("sensitivities", plain["uncertainty_budget"]),
         ("scale_factor_under", plain["diagnostics"].get("missing_terms", ())),
+        ("turns", plain["segments"] if c.direct else ()),
     ):
         for entry in entries:
             if not entry[key]:
@@ -153,8 +154,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     for run in plain.get("runs", ()):
         for key in list(run):  # in order
             run["phase" if key == "phases" else key] = run.pop(key)
-    for segment in plain["segments"] if c.direct else ():
-        segment.pop("turns", None)
     return plain
 
 
