@@ -9,9 +9,8 @@ increments use the same expansion; a constant segment is one step whatever its l
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Literal, overload
 
 import numpy as np
@@ -383,30 +382,14 @@ def propagate_fleet(
             remedy="give the same number of each, or one for all",
         )
     fleet = fleet * m if len(fleet) < m else fleet
-    motions = []
-    for i, inst in enumerate(fleet):
+    run = propagate if output == "angle" else propagate_rate
+
+    def row(i: int) -> Array:
         own = {name: array[i] if array.ndim == 3 else array for name, array in given.items()}
-        with _named(i):
-            motions.append(_sampled_input(inst, t, own["f"], own.get("base_rate"), between=between))
-    result, threads = np.empty((m, motions[0].t.size)), config.NUMBA_NUM_THREADS
+        try:
+            return run(fleet[i], t, own["f"], own.get("base_rate"), between=between)
+        except ArgumentError as error:
+            raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
 
-    def run(first: int) -> None:
-        for i in range(first, m, threads):
-            angle, rate = (result[i], _NO_OUTPUT) if output == "angle" else (_NO_OUTPUT, result[i])
-            with _named(i):
-                _run_samples(motions[i], fleet[i].alpha0, angle, rate)
-
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(run, range(threads)))
-    if output == "angle":
-        result[:, 0] = [inst.alpha0 for inst in fleet]
-    return result
-
-
-@contextmanager
-def _named(i: int) -> Iterator[None]:
-    """Errors name the motion of a fleet."""
-    try:
-        yield
-    except ArgumentError as error:
-        raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
+    with ThreadPoolExecutor(config.NUMBA_NUM_THREADS) as pool:
+        return np.stack(list(pool.map(row, range(m))))
