@@ -15,8 +15,8 @@ through the transverse input, which it rectifies.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError, PigaError
 from piga.instrument.twin.parameters import TwinParameters
-from piga.results import Array, Result
+from piga.results import Array
 
 _Complex = NDArray[np.complex128]
 Polynomial = NDArray[np.floating]
@@ -227,33 +227,14 @@ class ServoParameters:
         return cls(p.K, p.pendulosity, p.integral_gain, p.proportional_gain, p.rate_gain, p.damping)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ServoTerms(Result):
-    """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2.
-
-    ``sources`` gives, by parameter name, the change of each coefficient for one standard uncertainty of that
-    parameter. One draw moves both. ``u_servo`` and ``u_servo_damping`` are the standard uncertainties of all
-    together.
-    """
+class ServoTerms(NamedTuple):
+    """Coefficients of the terms ``servo`` and ``servo_damping``, both in 1/(m/s^2)^2."""
 
     servo: float
     servo_damping: float
-    sources: Mapping[str, tuple[float, float]]
-
-    @property
-    def u_servo(self) -> float:
-        """Standard uncertainty of ``servo`` [1/(m/s^2)^2]."""
-        return math.hypot(*(change for change, _ in self.sources.values()))
-
-    @property
-    def u_servo_damping(self) -> float:
-        """Standard uncertainty of ``servo_damping`` [1/(m/s^2)^2]."""
-        return math.hypot(*(change for _, change in self.sources.values()))
 
 
-def servo_terms(
-    p: TwinParameters | ServoParameters, u: Mapping[str, float] | None = None, *, rate: float = 0.0
-) -> ServoTerms:
+def servo_terms(p: TwinParameters | ServoParameters, *, rate: float = 0.0) -> ServoTerms:
     r"""Predict the terms ``servo`` (s) and ``servo_damping`` (d) from the parameters of the servo.
 
     .. math::
@@ -264,36 +245,20 @@ def servo_terms(
     ----------
     p:
         A twin, or the numbers alone.
-    u:
-        Standard uncertainties by the parameter's name in :class:`ServoParameters`, SI units; they are taken as
-        independent.
     rate:
         Output rate [rad/s] at which the terms are taken: both are multiplied by ``k_i Im G(jw)/w``, which is
         1 at rate zero, ``G = 1/(k_i/(jw) + k_p + (k_d + ml/K) jw)``.
-
-    Raises
-    ------
-    ArgumentError
-        If ``u`` names an unknown parameter, or a parameter is not physical (a servo without integral gain has
-        none of these terms).
 
     Notes
     -----
     Derivation and terms of the next order: theory page "The servo in the model".
     """
-    parameters = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
-    names = [entry.name for entry in fields(ServoParameters)]
-    sources = {}
-    for name, uncertainty in (u or {}).items():
-        if name not in names:
-            raise ArgumentError(f"servo: unknown parameter '{name}'", remedy=f"choose {', '.join(names)}")
-        value, step = getattr(parameters, name), 1e-4
-        size = value or 1.0
-        up = _servo_pair(replace(parameters, **{name: value + step * size}), rate)
-        down = _servo_pair(replace(parameters, **{name: max(0.0, value - step * size)}), rate)
-        span = step * size + min(value, step * size)
-        sources[name] = ((up[0] - down[0]) / span * uncertainty, (up[1] - down[1]) / span * uncertainty)
-    return ServoTerms(*_servo_pair(parameters, rate), sources)
+    q = ServoParameters.of_twin(p) if isinstance(p, TwinParameters) else p
+    stiffness = q.integral_gain - (q.rate_gain + q.pendulosity / q.scale_factor) * rate**2
+    compliance = stiffness / (stiffness**2 + (q.proportional_gain * rate) ** 2)
+    return ServoTerms(
+        0.5 * q.scale_factor * q.pendulosity * compliance, q.damping * q.scale_factor**2 * compliance
+    )
 
 
 def servo_force(
@@ -320,13 +285,6 @@ def servo_force(
     return np.asarray(
         -2.0 * servo * x * (y * sine - z * cosine) ** 2 - servo_damping * x**2 * (y * cosine + z * sine)
     )
-
-
-def _servo_pair(p: ServoParameters, rate: float) -> tuple[float, float]:
-    """``s`` and ``d`` at ``rate``."""
-    stiffness = p.integral_gain - (p.rate_gain + p.pendulosity / p.scale_factor) * rate**2
-    compliance = stiffness / (stiffness**2 + (p.proportional_gain * rate) ** 2)
-    return 0.5 * p.scale_factor * p.pendulosity * compliance, p.damping * p.scale_factor**2 * compliance
 
 
 def predicted_rectification(p: TwinParameters, a_t: float, rate: float) -> float:
