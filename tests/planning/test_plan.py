@@ -19,8 +19,7 @@ from piga.planning.candidates import (
     information_tables,
     predict,
 )
-from piga.planning.mounting import plan_mounting
-from piga.planning.plan import plan_test, scenario_text
+from piga.planning.plan import plan_mounting, plan_test, scenario_text
 from piga.planning.plan_file import read_plan
 from piga.planning.search import Criterion, best_mixture
 from piga.stand import Scenario, read_scenario, run_scenario

@@ -14,8 +14,7 @@ import piga
 from piga.calibration.joint import fit_alone
 from piga.errors import ArgumentError, CalibrationError, RunFileError
 from piga.planning.candidates import Visit, candidate_of, predict, run_of
-from piga.planning.mounting import plan_mounting
-from piga.planning.plan import _ordered
+from piga.planning.plan import _ordered, plan_mounting
 from piga.planning.plan_file import read_plan, request_of
 from piga.planning.search import Criterion, whole_pairs
 from piga.progress import SILENT

@@ -1,9 +1,9 @@
 """The PIGA: parameters, exact motion, closed forms, regimes, the servo-loop twin, its readout."""
 
-from piga.instrument.constant_input import closed_form, closed_form_turns
-from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument.regimes import (
+from piga.instrument.constant_input import (
     Regime,
+    closed_form,
+    closed_form_turns,
     dead_zone,
     fixed_points,
     locking_time,
@@ -12,6 +12,7 @@ from piga.instrument.regimes import (
     revolution_period,
     separatrix_distance,
 )
+from piga.instrument.parameters import ErrorModel, Instrument
 from piga.instrument.sampled_motion import (
     propagate,
     propagate_fleet,

@@ -1,6 +1,17 @@
-r"""Motion under constant input in closed form: one expression for all four regimes.
+r"""Constant input: the regime of the instrument (one of four), its long-term motion, and its motion in closed form.
 
-With ``A = u_x t``, ``Y = tan(beta) u_Y t``, ``Z = tan(beta) u_Z t`` and ``x = (Y^2 + Z^2 - A^2)/4``,
+With ``a = u_x`` and ``b = tan(beta) sqrt(u_Y^2 + u_Z^2)`` [rad/s], ``u = K f - Omega``, the motion is
+Adler's equation ``theta' = a + b sin(theta)`` [Adler1946], ``theta = alpha - gamma``. [Wei2024] and [Wei2020] tell
+the four regimes apart by the signs of ``a`` and ``a^2 - b^2``.
+
+Mean rate, period, locking, dead zone and separatrix take scalars or arrays that broadcast.
+``sqrt((|a| - b)(|a| + b))`` keeps the digits that ``sqrt(a^2 - b^2)`` loses near the separatrix.
+
+Arrays from users are checked here too: one clear message with the index of the fault. Values are checked for nan and infinity
+only after a kernel has stopped. So a clean record is read once, and only the output needs memory of its size.
+
+The motion is one expression for all four regimes. With ``A = u_x t``, ``Y = tan(beta) u_Y t``, ``Z = tan(beta) u_Z t`` and
+``x = (Y^2 + Z^2 - A^2)/4``,
 
 .. math::
 
@@ -14,14 +25,166 @@ rate keeps its digits. Derived in docs/theory/motion.
 
 from __future__ import annotations
 
+import math
+from typing import Literal, NoReturn
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piga._kernels.motion.step import TWO_PI_HIGH, TWO_PI_LOW, constant_motions, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.parameters import Instrument
-from piga.instrument.regimes import adler, float_array, require_finite
 from piga.results import Array
+
+Regime = Literal["zero", "critical", "locked", "running"]
+
+_ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
+
+
+def _base_rate(given: ArrayLike | None) -> Array:
+    omega = np.zeros(3) if given is None else np.asarray(given, dtype=float)
+    if omega.shape != (3,):
+        raise ArgumentError(
+            f"base_rate: shape {omega.shape} instead of (3,)",
+            remedy="give three rates [rad/s] along X0, Y0 and Z0",
+        )
+    return omega
+
+
+def regime(
+    inst: Instrument, a_x: float, a_Y: float, a_Z: float, *, base_rate: ArrayLike | None = None
+) -> Regime:
+    """Regime of the motion under constant input: ``zero``, ``critical``, ``locked`` or ``running``.
+
+    ``zero``: there is no input along the axis. ``locked``: the output rate decays to zero although there is input.
+    ``running``: the gimbal revolves. ``critical``: the border between the last two. ``a`` and ``b`` are compared as
+    float64 numbers. Critical means that they agree within the rounding of their products (4.4e-16 of ``b``). So a
+    force of ``a_t * tan_beta`` is critical, and one that differs by 1e-15 is not.
+
+    Parameters
+    ----------
+    inst:
+        The instrument.
+    a_x, a_Y, a_Z:
+        Constant specific force in base axes [m/s^2].
+    base_rate:
+        Inertial rate of the base in base axes, shape (3,) [rad/s].
+
+    Raises
+    ------
+    ArgumentError
+        If a value is not finite.
+
+    Examples
+    --------
+    >>> inst = Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
+    >>> regime(inst, a_x=9.8, a_Y=49.0, a_Z=0.0)
+    'running'
+    """
+    a, b, _ = (float(value) for value in _adler(inst, a_x, a_Y, a_Z, base_rate))
+    if a == 0.0:
+        return "zero"
+    b = abs(b)
+    if base_rate is None:
+        a, b = a_x, abs(inst.tan_beta) * math.hypot(a_Y, a_Z)
+    gap = abs(a) - b
+    if abs(gap) <= _ROUNDING * b:
+        return "critical"
+    return "running" if gap > 0.0 else "locked"
+
+
+def _adler(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, base_rate: ArrayLike | None
+) -> tuple[Array, Array, Array]:
+    """``a``, signed ``b`` (sign of beta) [rad/s] and ``gamma`` [rad]."""
+    try:
+        forces = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (a_x, a_Y, a_Z)))
+    except ValueError:
+        raise ArgumentError(
+            "a_x, a_Y, a_Z: shapes do not fit together", remedy="give numbers, or arrays of one shape [m/s^2]"
+        ) from None
+    omega = _base_rate(base_rate)
+    for name, value in (("a_x", forces[0]), ("a_Y", forces[1]), ("a_Z", forces[2]), ("base_rate", omega)):
+        if not np.isfinite(value).all():
+            raise ArgumentError(f"{name}: holds a value that is not a finite number", remedy="leave it out")
+    K = inst.scale_factor
+    u_x, u_Y, u_Z = (K * force - rate for force, rate in zip(forces, omega, strict=True))
+    return u_x, np.asarray(inst.tan_beta * np.hypot(u_Y, u_Z)), np.asarray(np.arctan2(u_Z, u_Y))
+
+
+def _signed_square(a: Array, b: Array) -> Array:
+    """``a^2 - b^2`` without cancellation."""
+    return np.asarray((np.abs(a) - np.abs(b)) * (np.abs(a) + np.abs(b)))
+
+
+def mean_rate(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> Array:
+    """Mean rate over whole revolutions [rad/s]: ``sign(a) sqrt(a^2 - b^2)``, and 0 when locked."""
+    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    return np.asarray(np.sign(a) * np.sqrt(np.maximum(_signed_square(a, b), 0.0)))
+
+
+def revolution_period(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> Array:
+    """Time of one revolution [s], ``2 pi / |mean rate|``; infinite when the gimbal does not revolve."""
+    rate = np.abs(mean_rate(inst, a_x, a_Y, a_Z, base_rate=base_rate))
+    with np.errstate(divide="ignore"):
+        return np.asarray(2.0 * np.pi / rate)
+
+
+def fixed_points(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Angles [rad] at which the locked gimbal rests: the stable and the unstable one, in [-pi, pi].
+
+    ``sin(alpha - gamma) = -a/b``; the rate falls with the angle at the stable one. On the separatrix they
+    coincide; NaN where the gimbal revolves, or nothing acts on it.
+    """
+    a, b, gamma = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(-_signed_square(a, b))
+        turned = np.where(b == 0.0, np.nan, np.sign(b))
+        stable = np.arctan2(-a * turned, -root * turned) + gamma
+        unstable = np.arctan2(-a * turned, root * turned) + gamma
+    return _wrapped(stable), _wrapped(unstable)
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray(angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi)))
+
+
+def locking_time(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> Array:
+    """Time constant [s] with which the rate decays near the stable point, ``1/sqrt(b^2 - a^2)``.
+
+    Infinite on the separatrix, where the decay is algebraic; NaN where the gimbal revolves.
+    """
+    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(1.0 / np.sqrt(-_signed_square(a, b)))
+
+
+def dead_zone(
+    inst: Instrument, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """Interval of ``a_x`` [m/s^2] in which the gimbal locks: lower and upper limit.
+
+    ``Omega_x/K -+ b/K``; without base rate ``-+ a_t tan(beta)``.
+    """
+    a, b, _ = _adler(inst, 0.0, a_Y, a_Z, base_rate)
+    K = inst.scale_factor
+    return np.asarray((-a - np.abs(b)) / K), np.asarray((-a + np.abs(b)) / K)
+
+
+def separatrix_distance(
+    inst: Instrument, a_x: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike, *, base_rate: ArrayLike | None = None
+) -> Array:
+    """Input beyond the dead zone, ``(|a| - |b|)/K`` [m/s^2]: positive when running, negative when locked."""
+    a, b, _ = _adler(inst, a_x, a_Y, a_Z, base_rate)
+    return np.asarray((np.abs(a) - np.abs(b)) / inst.scale_factor)
 
 
 def constant_motion(
@@ -54,7 +217,7 @@ def closed_form_turns(
     if times.size == 0:
         raise ArgumentError("t: empty", remedy="give at least one time")
     require_finite("t", times.ravel())
-    adler(inst, a_x, a_Y, a_Z, base_rate)  # checks the values
+    _adler(inst, a_x, a_Y, a_Z, base_rate)  # checks the values
     omega = np.zeros(3) if base_rate is None else np.asarray(base_rate, dtype=float)
     result = constant_motion(inst, times.ravel(), [[a_x, a_Y, a_Z]], omega[None], onward=False)
     shaped = result.reshape((3, *times.shape))
@@ -107,3 +270,68 @@ def closed_form(
     """
     turns, rest, rate = closed_form_turns(inst, t, a_x, a_Y, a_Z, base_rate=base_rate)
     return np.asarray(turns * TWO_PI_HIGH + (turns * TWO_PI_LOW + rest)), rate
+
+
+def float_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+    """``values`` as contiguous float64, a read-only view if they already are.
+
+    Kernels are compiled for read-only input, so that any array finds the compiled code.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64).reshape(np.shape(values))
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(
+            f"{name}: not an array of numbers ({error})", remedy="give numbers, or an array of them"
+        ) from None
+    if shape is not None and array.shape != shape:
+        raise ArgumentError(
+            f"{name}: shape {array.shape} instead of {shape}", remedy="give one row per sample time"
+        )
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def time_array(name: str, values: ArrayLike, least: int = 1) -> Array:
+    """Times as a float64 vector of at least ``least`` entries; order is checked by the kernels."""
+    times = float_array(name, values)
+    if times.ndim != 1 or times.size < least:
+        raise ArgumentError(
+            f"{name}: shape {times.shape} instead of (n,) with n >= {least}", remedy="give one time per sample"
+        )
+    return times
+
+
+def require_finite(name: str, array: Array) -> None:
+    """Refuse a value that is not a finite number."""
+    if np.isfinite(array).all():
+        return
+    index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+    at = index if len(index) > 1 else index[0]
+    raise ArgumentError(
+        f"{name}: {array[index]} at index {at} is not a finite number",
+        remedy="repair or leave out the samples that are missing",
+    )
+
+
+def require_increasing(name: str, times: Array) -> None:
+    """Refuse times that do not increase."""
+    stuck = np.flatnonzero(~(np.diff(times) > 0.0))
+    if stuck.size:
+        k = int(stuck[0]) + 1
+        raise ArgumentError(
+            f"{name}: {times[k]} s at index {k} is not after {times[k - 1]} s at index {k - 1}",
+            remedy="sort the samples by time and drop repeated ones",
+        )
+
+
+def explain(times: Array, first: int, **inputs: Array) -> NoReturn:
+    """Say what made a kernel stop in the block that starts at ``first``."""
+    require_finite("t", times)
+    require_increasing("t", times)
+    for name, array in inputs.items():
+        require_finite(name, array)
+    raise ArgumentError(
+        f"{' or '.join(inputs)}: too large at index {first} or {first + 1}",
+        remedy="specific force is in m/s^2, rates in rad/s",
+    )

@@ -20,9 +20,8 @@ from piga._kernels.jit import config
 from piga._kernels.motion.samples import MotionSamples, propagate_samples
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, split_turns
 from piga.errors import ArgumentError
-from piga.instrument.constant_input import constant_motion
+from piga.instrument.constant_input import constant_motion, explain, float_array, require_finite, time_array
 from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument.regimes import explain, float_array, require_finite, time_array
 from piga.results import Array
 
 Between = Literal["smooth", "linear"]

@@ -6,8 +6,7 @@
 """
 
 from piga.planning.candidates import Candidate, Prediction, Visit, predict
-from piga.planning.mounting import Mounting, plan_mounting
-from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
+from piga.planning.plan import Mounting, Plan, plan_document, plan_mounting, plan_test, scenario_text
 from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
 
 __all__ = [

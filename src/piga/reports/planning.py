@@ -10,8 +10,7 @@ import numpy as np
 
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
-from piga.planning.mounting import Mounting
-from piga.planning.plan import CheapestTest, Plan
+from piga.planning.plan import CheapestTest, Mounting, Plan
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant

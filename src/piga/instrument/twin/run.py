@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
-from piga.instrument.regimes import float_array, require_finite, require_increasing, time_array
+from piga.instrument.constant_input import float_array, require_finite, require_increasing, time_array
 from piga.instrument.twin.parameters import TwinParameters
 from piga.results import Array, Result
 
