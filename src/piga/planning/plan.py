@@ -5,10 +5,11 @@ visits (:mod:`piga.planning.search`). The least value of any mixture of visits p
 The reported uncertainties are predicted by the estimator on the noiseless record of the exported test. The export is a scenario
 for ``piga simulate`` and one JSON document.
 
-The mounting question: which skew keeps the instrument out of the lock zone over a profile. With ``u = K f - Omega`` the
-instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. Turning the instrument by a skew ``sigma`` towards the direction at ``clock`` about the platform's X axis makes
-``u_x = u . (cos sigma, sin sigma cos clock, sin sigma sin clock)``; the margin of a mounting is the
-least ``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1 (own formulation).
+The mounting question: which skew keeps the instrument out of the lock zone over a profile. With ``u = K f - Omega``
+the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. Turning the instrument by a skew ``sigma`` towards
+the direction at ``clock`` about the platform's X axis makes ``u_x = u . (cos sigma, sin sigma cos clock, sin sigma
+sin clock)``; the margin of a mounting is the least ``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1
+(own formulation).
 """
 
 from __future__ import annotations
