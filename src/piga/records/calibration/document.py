@@ -149,8 +149,8 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         ("turns", plain["segments"] if c.direct else ()),
     ):
         for entry in entries:
-            if not entry[key]:
-                del entry[key]
+            if not entry.get(key):
+                entry.pop(key, None)
     for run in plain.get("runs", ()):
         for key in list(run):  # in order
             run["phase" if key == "phases" else key] = run.pop(key)
