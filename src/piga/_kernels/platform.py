@@ -14,8 +14,6 @@ import numpy as np
 
 from piga._kernels.jit import Array, inline, kernel
 
-Vector = tuple[float, float, float]
-
 
 @kernel
 def follow(
@@ -96,15 +94,6 @@ class Stepping(NamedTuple):
     every: int
     damping: Array
     earth: Array
-
-
-class States(NamedTuple):
-    """Navigator states: inertial ``r, v`` (n, 3), gimbal angles (n, 3) and ``times`` (n,) at the same instants."""
-
-    r: Array
-    v: Array
-    gimbals: Array
-    times: Array
 
 
 @inline
@@ -204,95 +193,3 @@ def navigate_chunk(
                 positions[written, j], velocities[written, j] = r[j], v[j]
             written, left = written + 1, every
     return written
-
-
-@inline
-def geodetic(x: float, y: float, z: float, semi_major: float, e2: float) -> tuple[float, float, float, float]:
-    """Geodetic latitude [rad], distance from the axis [m] and height [m] of an Earth-fixed position.
-
-    Bowring's start and one more step of it: exact to rounding within 50 km of the surface.
-    """
-    flat = math.sqrt(1.0 - e2)
-    axis = math.hypot(x, y)
-    second = e2 / (1.0 - e2)
-    semi_minor = semi_major * flat
-    tangent = z / (flat * axis)
-    sine = 0.0
-    cosine = 1.0
-    for _ in range(2):
-        cb = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        sb = tangent * cb
-        up = z + second * semi_minor * sb * sb * sb
-        out = axis - e2 * semi_major * cb * cb * cb
-        norm = 1.0 / math.sqrt(up * up + out * out)
-        sine, cosine = up * norm, out * norm
-        tangent = flat * sine / cosine
-    root = math.sqrt(1.0 - e2 * sine * sine)
-    return sine, cosine, axis, axis * cosine + z * sine - semi_major * root
-
-
-@inline
-def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
-    """Vector turned by ``angle`` [rad] about a unit axis (Rodrigues)."""
-    (x, y, z), (ax, ay, az) = v, axis
-    c, s = math.cos(angle), math.sin(angle)
-    dot = (ax * x + ay * y + az * z) * (1.0 - c)
-    return (
-        c * x + s * (ay * z - az * y) + dot * ax,
-        c * y + s * (az * x - ax * z) + dot * ay,
-        c * z + s * (ax * y - ay * x) + dot * az,
-    )
-
-
-@inline
-def _in_body(v: Vector, triad: Triad, t: float, e: Vector, gimbals: Array) -> Vector:
-    """Inertial vector in triad, platform and, by the gimbals, body axes: ``(R3(sigma) R2(theta) R3(psi))^T``."""
-    (x, y, z), c, drift = v, triad.c_gi, triad.drift
-    x, y, z = (
-        c[0, 0] * x + c[1, 0] * y + c[2, 0] * z,
-        c[0, 1] * x + c[1, 1] * y + c[2, 1] * z,
-        c[0, 2] * x + c[1, 2] * y + c[2, 2] * z,
-    )
-    rate = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
-    if rate > 0.0:
-        x, y, z = _turned((x, y, z), (drift[0] / rate, drift[1] / rate, drift[2] / rate), -rate * t)
-    ex, ey, ez = e
-    x, y, z = x - ey * z + ez * y, y - ez * x + ex * z, z - ex * y + ey * x
-    c1, s1, c2, s2 = math.cos(gimbals[0]), math.sin(gimbals[0]), math.cos(gimbals[1]), math.sin(gimbals[1])
-    c3, s3 = math.cos(gimbals[2]), math.sin(gimbals[2])
-    x, y = c3 * x - s3 * y, s3 * x + c3 * y
-    x, z = c2 * x + s2 * z, c2 * z - s2 * x
-    return c1 * x - s1 * y, s1 * x + c1 * y, z
-
-
-@kernel
-def local_level(
-    states: States, angles: Array, triad: Triad, earth_rate: float, semi_major: float, e2: float, out: Array
-) -> None:
-    """Convert navigator states to the displayed quantities, ``out`` (n, 9).
-
-    Latitude, longitude [rad], height [m], velocity north, east, down [m/s], roll, pitch, heading [rad]. ``angles``
-    (n, 3) or (1, 3) of the platform against the triad are those of the states' instants; ``triad`` of time zero,
-    its drift along triad axes turned out as one rotation vector.
-    """
-    r, v, times = states.r, states.v, states.times
-    for i in range(r.shape[0]):
-        angle = earth_rate * times[i]
-        ce, se = math.cos(angle), math.sin(angle)
-        x, y, z = ce * r[i, 0] + se * r[i, 1], ce * r[i, 1] - se * r[i, 0], r[i, 2]
-        u = ce * v[i, 0] + se * v[i, 1] + earth_rate * y
-        w = ce * v[i, 1] - se * v[i, 0] - earth_rate * x
-        sl, cl, axis, height = geodetic(x, y, z, semi_major, e2)
-        co, so = x / axis, y / axis
-        radial = co * u + so * w
-        out[i, 0], out[i, 1], out[i, 2] = math.atan2(sl, cl), math.atan2(y, x), height
-        out[i, 3] = cl * v[i, 2] - sl * radial
-        out[i, 4] = co * w - so * u
-        out[i, 5] = -cl * radial - sl * v[i, 2]
-        k = i if angles.shape[0] > 1 else 0
-        e, ci, si = (angles[k, 0], angles[k, 1], angles[k, 2]), ce * co - se * so, se * co + ce * so
-        north, _, _ = _in_body((-sl * ci, -sl * si, cl), triad, times[i], e, states.gimbals[i])
-        east, _, _ = _in_body((-si, ci, 0.0), triad, times[i], e, states.gimbals[i])
-        down, aside, below = _in_body((-cl * ci, -cl * si, -sl), triad, times[i], e, states.gimbals[i])
-        out[i, 6], out[i, 8] = math.atan2(aside, below), math.atan2(east, north)
-        out[i, 7] = math.atan2(-down, math.hypot(aside, below))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm, matrix_balance
 
 from piga import earth
-from piga._kernels.platform import States, Stepping, Triad, follow, local_level, navigate_chunk
+from piga._kernels.platform import Stepping, Triad, follow, navigate_chunk
 from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix, skew
 from piga.platform import geometry
@@ -99,6 +99,8 @@ def _follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge
 
 
 _SCHULER2 = earth.GM / earth.SEMI_MAJOR_AXIS**3
+_SHOWN = 8192
+"""Rows shown at a time: they stay in the processor's cache."""
 _LARGEST_TURN = 1e-5
 """Drift [rad] up to which the triad's turn is taken as linear inside one kernel call."""
 
@@ -240,12 +242,52 @@ def navigate(readouts: Readouts, compensator: CaseCompensator, start: Start, *, 
         increments[middle], _cut(compensator.middles, middle), _cut(altitude, middle), every
     )
     times = readouts.times[node]
-    table = np.empty((len(times), 9))
-    local_level(
-        States(position, velocity, readouts.gimbals[node], times), _cut(angles, node), Triad(start.triad, start.drift),
-        earth.EARTH_RATE, earth.SEMI_MAJOR_AXIS, earth.ECCENTRICITY_SQUARED, table,
-    )  # fmt: skip
+    gimbals, angles, table = readouts.gimbals[node], _cut(angles, node), np.empty((len(times), 9))
+    for first in range(0, len(times), _SHOWN):
+        rows = slice(first, first + _SHOWN)
+        states = position[rows], velocity[rows], times[rows], gimbals[rows]
+        table[rows] = _shown(*states, _cut(angles, rows), start)
     return Navigation(compensator.model, times, table, position, velocity)
+
+
+def _shown(
+    position: Array, velocity: Array, times: Array, gimbals: Array, angles: Array, start: Start
+) -> Array:
+    """The table of a :class:`Navigation` from inertial states, gimbal angles and small angles of the platform.
+
+    A plane of two axes is that of complex numbers, which turn by a factor.
+    """
+    back = np.exp(-1j * earth.EARTH_RATE * times)
+    plane = (position[:, 0] + 1j * position[:, 1]) * back
+    latitude, longitude, height = geometry.earth_to_geodetic(
+        np.stack((plane.real, plane.imag, position[:, 2]), axis=-1)
+    )
+    sine, cosine, outward = np.sin(latitude), np.cos(latitude), plane / np.abs(plane)
+    level = ((velocity[:, 0] + 1j * velocity[:, 1]) * back - 1j * earth.EARTH_RATE * plane) * outward.conj()
+    north = cosine * velocity[:, 2] - sine * level.real
+    down = -cosine * level.real - sine * velocity[:, 2]
+    # north, east and down in inertial axes, then in those of triad, platform and base
+    c, s = (outward / back).real, (outward / back).imag
+    axes = np.array(((-sine * c, -sine * s, cosine), (-s, c, 0.0 * s), (-cosine * c, -cosine * s, -sine)))
+    x, y, z = np.einsum("kj,vkn->jvn", start.triad, axes)
+    if rate := float(np.linalg.norm(start.drift)):
+        (a, b, d), c, s = start.drift / rate, np.cos(rate * times), -np.sin(rate * times)
+        along = (a * x + b * y + d * z) * (1.0 - c)
+        x, y, z = (
+            c * x + s * (b * z - d * y) + along * a,
+            c * y + s * (d * x - a * z) + along * b,
+            c * z + s * (a * y - b * x) + along * d,
+        )
+    a, b, d = angles.T
+    x, y, z = x - b * z + d * y, y - d * x + a * z, z - a * y + b * x
+    outer, middle, inner = np.exp(1j * gimbals.T)
+    turned = (x + 1j * y) * inner
+    side = (turned.real + 1j * z) * middle.conj()
+    turned, z = (side.real + 1j * turned.imag) * outer, side.imag
+    x, y = turned.real, turned.imag
+    roll, pitch = np.arctan2(y[2], z[2]), np.arctan2(-x[2], np.hypot(y[2], z[2]))
+    heading = np.arctan2(x[1], x[0])
+    return np.column_stack((latitude, longitude, height, north, level.imag, down, roll, pitch, heading))
 
 
 def errors(navigation: Navigation, truth: Truth, readouts: Readouts) -> Errors:
