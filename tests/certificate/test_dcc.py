@@ -356,7 +356,10 @@ def test_a_certificate_of_piga_0_2_without_its_data_is_read_by_its_results(state
         data = root.find(f".//dcc:byteData[@refType='{kind}']", N)
         result = data.getparent().getparent()
         result.getparent().remove(result)
-    with pytest.warns(piga.PigaWarning, match="made by piga 0.2 or earlier"):
+    with pytest.raises(PigaError, match="lacks the attached data"):
+        calibration_of(root, Path("x.xml"))
+    root.find(".//dcc:dccSoftware/dcc:software/dcc:release", N).text = "v0.2.0"
+    with pytest.warns(piga.PigaWarning, match=r"made by piga 0\.2"):
         assert calibration_of(root, Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)
     root.find(".//dcc:result[@refType='basic_measuredValue']//si:real/si:value", N).text = "0.0906"
     with pytest.raises(PigaError, match=r"contradicts itself: .*value of scale_factor"):

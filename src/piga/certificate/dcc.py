@@ -202,7 +202,10 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
             remedy="only certificates made by piga can be read back",
         )
     calibration = calibration_from_bytes(raw, path)
+    release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
     if (data := _attached(root, DATA, path)) is None:
+        if not release.startswith("v0.2"):
+            raise DataError(f"{path}: lacks the attached data of the certificate", remedy=_AGAIN)
         _compare_results(root, calibration, path)
         return calibration
     try:
@@ -211,7 +214,6 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         raise DataError(
             f"{path}: the attached data of the certificate are damaged ({error})", remedy=_AGAIN
         ) from None
-    release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
     before = _attached(root, _BEFORE, path)
     former = None if before is None else calibration_from_bytes(before, path)
     try:
@@ -257,7 +259,7 @@ def _compare_results(root: etree._Element, calibration: Calibration, path: Path)
                 mark.getparent().remove(mark)
             _compare_trees(one, other, path)
     warnings.warn(
-        f"{path}: made by piga 0.2 or earlier: its results agree with the attached record; laboratory, dates and statements "
+        f"{path}: made by piga 0.2: its results agree with the attached record; laboratory, dates and statements "
         "were not compared",
         PigaWarning,
         stacklevel=3,

@@ -280,13 +280,14 @@ class Rows:
 
     def file(self, name: str) -> Iterator[bytes]:
         """The bytes of a stored file. Each part is checked, and the whole file at the end."""
-        size = self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).scalar()
-        if size is None:
-            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
-        wanted = sa.select(CHUNK).where(CHUNK.c.sha256 == name).order_by(CHUNK.c.part)
-        digest, length = hashlib.sha256(), 0
-        with self.connection.execute(wanted, execution_options={"yield_per": _PARTS}) as stored:
+        wanted = sa.select(BLOB.c.size, CHUNK).select_from(BLOB.outerjoin(CHUNK)).where(BLOB.c.sha256 == name)
+        size, digest, length = None, hashlib.sha256(), 0
+        ordered = wanted.order_by(CHUNK.c.part)
+        with self.connection.execute(ordered, execution_options={"yield_per": _PARTS}) as stored:
             for number, row in enumerate(stored):
+                size = row.size
+                if row.part is None:  # a file without content
+                    break
                 part = _as_bytes(row.data, f"file {name[:12]}")
                 if (row.part, row.digest) != (number, sha256(part)) or row.codec not in ("plain", "zlib"):
                     raise _damaged(name)
@@ -296,6 +297,8 @@ class Rows:
                 digest.update(part)
                 length += len(part)
                 yield part
+        if size is None:
+            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
         if (digest.hexdigest(), length) != (name, size):
             raise _damaged(name)
 
