@@ -146,6 +146,14 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     jobs.stop_all()
 
 
+def test_values_that_no_instrument_has(client: Client) -> None:
+    for typed in ("K=0+rad/s/g", "beta=100+deg", "a_x=5"):
+        assert client.ask(f"/explore?{typed}")[0] == 422
+    assert client.ask("/explore?a_x=1e30+g&time=1e12+s")[0] == 200
+    status, headers, _ = client.ask("/explore/page?a_x=1e30+g&time=1e12+s")
+    assert (status, "sandbox" in headers["content-security-policy"]) == (200, True)
+
+
 def test_forms_that_are_none(client: Client) -> None:
     origin = {"Origin": f"http://127.0.0.1:{client.port}"}
     for body in (

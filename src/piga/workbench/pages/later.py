@@ -61,7 +61,6 @@ _USUAL = (
     "item.description",
 )  # fmt: skip
 """Entries of the example that any laboratory may have, too."""
-_SIZES = {"a_x": "m/s^2", "a_t": "m/s^2", "time": "s"}
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
@@ -415,6 +414,8 @@ def _explore(request: Request) -> Response:
     fields = [field.with_sent(dict(request.query_params)) for field in _EXPLORED]
     given = urlencode({field.key: field.value for field in fields if not field.refusal})
     shown = "" if any(field.refusal for field in fields) else f"/explore/page?{given}"
+    if shown:  # what no instrument has is refused here, not in the frame
+        Instrument(beta=fields[2].value, scale_factor=fields[3].value)
     words = "The motion of the gimbal under constant specific force. Every published case, computed and compared: piga reproduce."
     values = {"title": "Explore", "words": words, "fields": fields, "link": "", "shown": shown}
     return render(request, "form.html.jinja", 422 if not shown else 200, **left(bench_of(request)), **values)
@@ -422,9 +423,11 @@ def _explore(request: Request) -> Response:
 
 def _explored(request: Request) -> Response:
     """Regime, lock zone and motion for given values, as a report."""
-    given = {field.key: field.with_sent(dict(request.query_params)).value for field in _EXPLORED}
-    inst = Instrument(scale_factor=given["K"], beta=given["beta"])
-    a_x, a_t, time_shown = (to_si(given[key], like, what=key) for key, like in _SIZES.items())
+    asked = {field.key: field.with_sent(dict(request.query_params)) for field in _EXPLORED}
+    inst = Instrument(scale_factor=asked["K"].value, beta=asked["beta"].value)
+    a_x, a_t, time_shown = (
+        to_si(asked[key].value, asked[key].like, what=key) for key in ("a_x", "a_t", "time")
+    )
     forces, degree, turn = (a_x, a_t, 0.0), 180.0 / np.pi, 2.0 * np.pi
     name, border = regime(inst, *forces), float(dead_zone(inst, a_t, 0.0)[1])
     alpha, t = np.linspace(-np.pi, np.pi, _POINTS), np.linspace(0.0, abs(time_shown), _POINTS)
