@@ -61,14 +61,6 @@ def test_full_error_model_is_inverted_to_rounding(kind):
     assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
 
 
-def test_base_rate_is_taken_out():
-    t = np.arange(0.0, 3.0, 0.01)
-    f = constant_force(t, 0.8, 1.0, 0.5)
-    base = np.tile([7e-5, -3e-3, 2e-3], (t.size, 1))
-    compensated = piga.compensate(run_of(t, f, phi=PHI, base_rate=base), CAL)
-    assert np.abs(compensated.ax[1:] - f[1:, 0]).max() < 1e-12 * G0
-
-
 def test_missing_phase_names_the_segment():
     t = np.arange(0.0, 1.0, 0.1)
     run = run_of(t, constant_force(t, 1.0, 1.0))

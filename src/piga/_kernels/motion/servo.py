@@ -44,18 +44,6 @@ def wheel(p: ServoConstants, t: float) -> tuple[float, float]:
 
 
 @kernel
-def _pick_off(p: ServoConstants, beta: float, noise: float) -> float:
-    """Pick-off signal [rad]: tilt from null with noise, limited to its range."""
-    return min(max(beta - p.beta_null + noise, -p.e_max), p.e_max)
-
-
-@kernel
-def command(p: ServoConstants, e: float, v: float, z: float) -> float:
-    """Torque that the servo asks of its motor [N m]."""
-    return -(p.k_p * e + p.k_i * z + p.k_d * v)
-
-
-@kernel
 def friction(p: ServoConstants, w: float) -> float:
     """Torque of viscous and Coulomb friction on the outer axis [N m], the latter smoothed as tanh."""
     return -p.c_x * w - p.M_c * math.tanh(w / p.w_c)
@@ -107,8 +95,8 @@ def derivative(p: ServoConstants, t: float, x: Array, inputs: Array, out: Array)
     E_tilt = (p.C - p.A) * (cb * cb - sb * sb) + 4.0 * p.D * sb * cb
     L_Z1 = turn * E + r * (p.A * sb * sb + p.C * cb * cb + 2.0 * p.D * sb * cb) + H * cb
     # servo
-    e = _pick_off(p, beta, n_e)
-    asked = command(p, e, v, z)
+    e = min(max(beta - p.beta_null + n_e, -p.e_max), p.e_max)  # the pick-off's signal within its range
+    asked = -(p.k_p * e + p.k_i * z + p.k_d * v)
     motor = min(max(asked, -p.M_max), p.M_max)
     winding = asked != motor and e * asked < 0.0
     # outer axis
