@@ -84,7 +84,7 @@ def compute(plan: CampaignPlan, record: RecordName) -> Outcome:
         warnings.simplefilter("ignore", PigaWarning)
         made = built(plan, record, plan.document(record))
         if isinstance(made, Scenario):
-            return _simulated(plan, record, made, with_bound=record.repeat < record.group.bounds)
+            return _simulated(plan, record, made)
         return _platform_run(plan, record, made)
 
 
@@ -105,11 +105,7 @@ def of_calibration(calibration: Calibration, truth: Array, bound: Array | None =
     error = changes(coefficients, truth, value)
     nees = expected = math.nan
     if np.isfinite(error).all() and error.size:
-        with np.errstate(all="ignore"):
-            try:
-                nees = float(error @ np.linalg.solve(calibration.covariance, error)) / error.size
-            except np.linalg.LinAlgError:
-                nees = math.nan
+        nees = float(error @ np.linalg.solve(calibration.covariance, error)) / error.size
         expected = float(np.mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))))
     with np.errstate(all="ignore"):
         columns: dict[str, Sequence[str] | Array] = {
@@ -138,7 +134,7 @@ def _seen(calibration: Calibration) -> tuple[str, ...]:
     return (*(name for name, there in noise.items() if there), *suggested)
 
 
-def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, with_bound: bool) -> Outcome:
+def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario) -> Outcome:
     """Simulate, write the files of a lab, read them and calibrate, as a user does."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
@@ -147,7 +143,7 @@ def _simulated(plan: CampaignPlan, record: RecordName, scenario: Scenario, *, wi
         test = run_scenario(scenario, seed=seed_of(plan, record))
         run = read_run(_write_lab_files(scenario, test, Path(folder)))
         calibration = calibrate(run)
-        bound = _bound(test, run) if with_bound else None
+        bound = _bound(test, run) if record.repeat < record.group.bounds else None
     return of_calibration(calibration, _truth(test, calibration), bound)
 
 
