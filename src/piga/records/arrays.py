@@ -106,24 +106,31 @@ class ColumnWriter:
     """A column of unknown length to which rows are appended. A :class:`DataError` if the disk has no room for it."""
 
     def __init__(self, dtype: DTypeLike = np.float64) -> None:
-        self._dtype = np.dtype(dtype)
-        self._stream = tempfile.SpooledTemporaryFile(LARGE_BYTES, dir=folder())  # noqa: SIM115 - closed by finish
+        self._dtype, self._parts, self._bytes = np.dtype(dtype), [np.empty(0, dtype)], 0
+        self._stream: Any = None
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows: in memory, above LARGE_BYTES in a file without a name."""
-        with _room():
-            self._stream.write(np.ascontiguousarray(values, self._dtype).data)
+        """Append rows: in memory (``values`` must not change then), above LARGE_BYTES in a file without a name."""
+        self._parts.append(np.ascontiguousarray(values, self._dtype))
+        self._bytes += self._parts[-1].nbytes
+        if self._bytes > LARGE_BYTES:
+            with _room():
+                self._stream = self._stream or tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
+                for part in self._parts:
+                    self._stream.write(part.data)
+            self._parts = []
 
     def finish(self) -> NDArray[Any]:
         """All rows."""
+        if self._stream is None:
+            return np.concatenate(self._parts)
         with _room(), self._stream as stream:
-            if stream.tell() > LARGE_BYTES:
-                return np.asarray(np.memmap(stream, self._dtype, "r+"))
-            stream.seek(0)
-            return np.frombuffer(bytearray(stream.read()), self._dtype)
+            stream.flush()
+            return np.asarray(np.memmap(stream, self._dtype, "r+"))
 
     def __del__(self) -> None:
-        self._stream.close()
+        if self._stream is not None:
+            self._stream.close()
 
 
 def folder() -> str:
