@@ -154,16 +154,6 @@ class Compensator:
             return math.nan
         return math.sqrt(velocity_variance(self._calibration, self._models.values()))
 
-    @property
-    def needs_temperature(self) -> bool:
-        """True if the calibration has temperature terms."""
-        return self._model.needs_temperature
-
-    @property
-    def needs_vibration(self) -> bool:
-        """True if the calibration has vibration rectification."""
-        return self._model.needs_vibration
-
     def take_segment(self, segment: str | None) -> None:
         """Use the phase of another segment from the next sample on.
 
@@ -178,7 +168,7 @@ class Compensator:
                 limits=self._limits, flag=self._age, typical=self._typical,
             )  # fmt: skip
             self._models[segment] = model, np.zeros(SUMS)
-        self._model, self._sums = self._models[segment]
+        self.model, self._sums = self._models[segment]
 
     def push(self, chunk: Mapping[str, ArrayLike] | Run) -> Compensated:
         """Compensate the next samples.
@@ -198,7 +188,10 @@ class Compensator:
             If a column is missing, has another length, or contains a number that is not finite.
         """
         columns = _checked(self._columns_of(chunk) if isinstance(chunk, Run) else chunk)
-        for name, needed in (("temperature", self.needs_temperature), ("vibration", self.needs_vibration)):
+        for name, needed in (
+            ("temperature", self.model.needs_temperature),
+            ("vibration", self.model.needs_vibration),
+        ):
             if needed and name not in columns:
                 raise ArgumentError(
                     f"chunk: the key '{name}' is missing, and the calibration has {name} terms",
@@ -214,7 +207,7 @@ class Compensator:
         """Compensate the next samples, arrays of float64, into arrays that exist."""
         before, rows = self._state.copy(), rows._replace(sums=self._sums.copy())
         output, angle = columns["output"], columns.get("angle", NONE)
-        output = output if self._model.scale == 1.0 else self._model.scale * output
+        output = output if self.model.scale == 1.0 else self.model.scale * output
         psi, rate = (output, NONE) if self._kind == "angle" else (angle, output)
         samples = Samples(
             columns["t"], psi, rate, np.ascontiguousarray(columns["f"][:, 1]), np.ascontiguousarray(columns["f"][:, 2]),
@@ -222,7 +215,7 @@ class Compensator:
             columns.get("temperature", NONE),
             columns.get("vibration", NONE),
         )  # fmt: skip
-        run_kernel(self._model, self._state, samples, rows)
+        run_kernel(self.model, self._state, samples, rows)
         if not math.isfinite(rows.dv.sum()):
             self._state = before
             check_finite(columns)
@@ -337,12 +330,12 @@ def compensate(
         segment=record.labels[int(record.segment_index[0])], step=typical, uncertainty=uncertainty, flags=flags,
         limits=limits, max_age_days=max_age_days,
     )  # fmt: skip
-    if stream.needs_temperature and record.temperature is None:
+    if stream.model.needs_temperature and record.temperature is None:
         raise CalibrationError(
             "the calibration has temperature terms, but the record has no temperature",
             remedy="add [data] temperature = { column = '...', unit = 'degC' }",
         )
-    if stream.needs_vibration and record.vibration is None:
+    if stream.model.needs_vibration and record.vibration is None:
         raise CalibrationError(
             "the calibration has the term k2v, but the record has no vibration",
             remedy="add [data] vibration = { column = '...', unit = 'g' }",

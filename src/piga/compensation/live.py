@@ -47,11 +47,6 @@ def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int
     -------
     rows:
         Lines compensated.
-
-    Raises
-    ------
-    DataError
-        Gives the number of the line that is wrong, too long, or cut off.
     """
     header = [name.strip() for name in _line(source, 1).split(",")]
     _check_names(header)
@@ -103,11 +98,6 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
     -------
     rows:
         Rows compensated.
-
-    Raises
-    ------
-    DataError
-        If the stream is not an Arrow stream, is cut off or damaged, if a column is missing, or if a column contains no numbers.
     """
     import pyarrow as pa
 
