@@ -226,7 +226,7 @@ def comparison_page(
         *_line_sections(comparison),
         Section("Forty minutes and the whole run", "histories", histories),
         Section("Position", "position", (partial(position_figure, comparison),)),
-        Section("Notes", "notes", tuple(Notice("info", f"note: {note}") for note in known.notes)),
+        Section("Notes", "notes", tuple(Notice("info", note) for note in known.notes)),
         Section("What the models were given", "given", (table,)),
         Section("Error budget by source", "budget", tables),
     )

@@ -20,7 +20,7 @@ _ASCII = str.maketrans({
     "″": "arcsec", "°": "deg", "→": "->", "…": "...", "ν": "nu", "β": "beta", "φ": "phi", "χ": "chi", "ψ": "psi",
 })  # fmt: skip
 _MINUS, _EXPONENT = re.compile(r"(?<![\w)])-(?=\d)"), re.compile(r"(?<=[\d)])e(-?\d+)\b")
-_PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("arcsec", "″"), ("degC", "°C"))
+_PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("sqrt(Hz)", "√Hz"), ("arcsec", "″"), ("degC", "°C"))
 
 
 @dataclass(frozen=True)
