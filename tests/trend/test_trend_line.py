@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from piga.errors import ArgumentError
-from piga.trend.trend_line import CAUSES, Line, line_through, merge_by_day, outlook
+from piga.trend.trend_line import CAUSES, Line, clearest_step, line_through, merge_by_day, outlook
 
 NORRIS = np.array([
     [0.1, 0.2], [338.8, 337.4], [118.1, 118.2], [888.0, 884.6], [9.2, 10.1], [228.1, 226.5], [668.5, 666.3],
@@ -66,8 +66,8 @@ def test_thermometer_of_the_gum():
     std = np.sqrt(np.diag(covariance))
     assert [round(std[0], 4), round(std[1], 5)] == [0.0029, 0.00067]
     assert covariance[0, 1] / std.prod() == pytest.approx(-0.930, abs=5e-4)
-    coefficients, covariance = about(fit, 30.0)
-    assert (round(coefficients[0], 4), round(covariance[0, 0] ** 0.5, 4)) == (-0.1494, 0.0041)
+    value, variance, _ = fit.at(30.0)
+    assert (round(value, 4), round(variance**0.5, 4)) == (-0.1494, 0.0041)
 
 
 def exact(t, y, v, excess):
@@ -83,6 +83,24 @@ def exact(t, y, v, excess):
         return b, normal**-1, q
 
 
+def test_unequal_weights_at_50_digits():
+    rng = np.random.default_rng(5)
+    t, v = np.sort(rng.uniform(0, 9, 12)), rng.uniform(0.2, 4.0, 12) ** 2
+    y = 3.0 - 0.4 * t + rng.normal(0, np.sqrt(v + 4.0))
+    fit = fit_line(t, y, v, shared=np.stack([y, v]))
+    b, covariance, q = exact(t, y, v, fit.excess)
+    coefficients, stated = about(fit, 0.0)
+    assert fit.excess > 0.2
+    assert float(q) == pytest.approx(10.0, rel=1e-10)  # Paule and Mandel's condition
+    assert fit.scale == pytest.approx(1.0, rel=1e-10)
+    assert coefficients == pytest.approx([float(b[0]), float(b[1])], rel=1e-12)
+    assert stated == pytest.approx(np.array(covariance.tolist(), dtype=float), rel=1e-10)
+    assert fit.chi2 == pytest.approx(float(exact(t, y, v, 0.0)[2]), rel=1e-12)
+    assert fit.shared[:, 0] == pytest.approx(fit.coefficients, rel=1e-12)
+    by_v = exact(t, v, v, fit.excess)[0]
+    assert fit.at(2.0)[2][1] == pytest.approx(float(by_v[0] + 2 * by_v[1]), rel=1e-12)
+
+
 def test_no_excess_when_the_stated_scatter_explains_it():
     rng = np.random.default_rng(2)
     t = np.arange(9.0)
@@ -91,6 +109,17 @@ def test_no_excess_when_the_stated_scatter_explains_it():
     assert fit.excess == 0.0
     assert fit.chi2 < 0.2
     assert fit.scale * 7 == pytest.approx(stats.chi2.ppf(0.2, 7), rel=1e-10)
+
+
+def test_units_and_shift_of_time_do_not_matter():
+    rng = np.random.default_rng(3)
+    t, y = np.sort(rng.uniform(0, 5, 8)), rng.normal(0, 1, 8)
+    v = rng.uniform(0.1, 0.4, 8)
+    first = fit_line(t, y, v)
+    second = fit_line(365.25 * t + 4000.0, 1e-6 * y, 1e-12 * v)
+    assert second.coefficients[1] == pytest.approx(1e-6 * first.coefficients[1] / 365.25, rel=1e-9)
+    variance = 1e-12 * first.covariance[1, 1] / 365.25**2
+    assert second.covariance[1, 1] == pytest.approx(variance, rel=1e-9)
 
 
 def test_exact_values_are_a_line_without_excess():
@@ -134,6 +163,26 @@ def test_days_with_repeats_and_shared_errors_at_50_digits():
     assert line.shared[:, 0] == pytest.approx(line.coefficients, rel=1e-9)
     own = 1.0 / (v + merged.within)
     assert merged.shared[:, 1] == pytest.approx(np.bincount(days, own * v) / np.bincount(days, own), rel=1e-12)
+
+
+@pytest.mark.parametrize("place", [2, 3, 6, 10])
+def test_a_step_beside_a_line_is_found_with_its_size(place):
+    """Equal uncertainties: the step is that of ordinary least squares with a line and a step."""
+    rng = np.random.default_rng(place)
+    t = np.arange(12) * 0.25
+    y = 0.7 * t + rng.normal(0, 1.0, 12) + 10.0 * (np.arange(12) >= place)
+    step = clearest_step(of_days(t, y, np.full(12, 0.01)))
+    design = np.stack([np.ones(12), t, np.arange(12) >= place], axis=1)
+    solution, squares, *_ = np.linalg.lstsq(design, y, rcond=None)
+    std = np.sqrt(squares[0] / 9 * np.linalg.inv(design.T @ design)[2, 2])
+    assert step.day == place
+    assert step.size == pytest.approx(solution[2], rel=1e-9)
+    assert step.std == pytest.approx(std, rel=1e-6)
+    assert step.probability == pytest.approx(9 * 2 * stats.t.sf(step.size / std, 9), rel=1e-4)
+
+
+def test_no_step_in_few_days():
+    assert clearest_step(of_days(np.arange(4.0), np.array([0.0, 0.0, 9.0, 9.0]), np.ones(4))) is None
 
 
 # -- forecast -----------------------------------------------------------------------------------------------

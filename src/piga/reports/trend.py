@@ -63,7 +63,7 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
     plot = Plot(f"trend-{trend.key.replace('_', '-')}", f"{trend.key} over time.", height=2.7)
     _add_values(plot, trend, drifts.start, ahead)
-    if np.isfinite(trend.scores).any():
+    if np.isfinite(trend.chart.score).any():
         _add_control(plot, trend, drifts.start)
     return plot.caption(
         "Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
@@ -81,7 +81,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
         return scale.shown(values[:, 0]), values[:, 1] * scale.factor
 
     plot.panel(DATE, Axis(scale.quantity, scale.unit), trend.key)
-    if trend.line is not None:
+    if trend.model.line is not None:
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
         middle, half = shown([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
@@ -93,7 +93,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
             error = np.array([point.own_half_width for point in those]) * scale.factor
             names = tuple(point.record for point in those)
             plot.points(_dates(start, time), scale.shown(values), name, role, error=error, text=names)
-    if ahead is not None and trend.line is not None:
+    if ahead is not None and trend.model.line is not None:
         value, half = shown([trend.coefficient_at(ahead)])
         plot.points([_dates(start, ahead)], value, "forecast of the coefficient", "after", error=half)
 
@@ -102,13 +102,14 @@ _KINDS: tuple[tuple[str, Role, bool], ...] = (("records", "data", False), ("out 
 
 
 def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> None:
-    limit, seen = CONTROL_LIMIT, np.isfinite(trend.scores)
-    x = _dates(start, trend.days.time[seen])
+    chart, limit = trend.chart, CONTROL_LIMIT
+    seen = np.isfinite(chart.score)
+    x = _dates(start, chart.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
     plot.panel(DATE, "deviation from the forecast [std]", "Control chart")
-    plot.points(x, trend.scores[seen], "score of a day").line(x, trend.average[seen], "moving average", "model")
+    plot.points(x, chart.score[seen], "score of a day").line(x, chart.average[seen], "moving average", "model")
     for sign, name, score in ((1.0, "limit of the average", "limit of a score"), (-1.0, "", "")):
-        plot.dashed(x, sign * trend.limit[seen], name, "model").level(ends, sign * limit, score, "warning")
+        plot.dashed(x, sign * chart.limit[seen], name, "model").level(ends, sign * limit, score, "warning")
 
 
 def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
@@ -202,7 +203,7 @@ def _scale(trend: CoefficientTrend) -> float:
 
 def _at(trend: CoefficientTrend, years: float) -> str:
     """Value on the line with its interval; empty without a line."""
-    return _interval(trend.coefficient_at(years), _scale(trend)) if trend.line else ""
+    return _interval(trend.coefficient_at(years), _scale(trend)) if trend.model.line else ""
 
 
 def _interval(forecast: Forecast | None, scale: float) -> str:
@@ -239,7 +240,7 @@ def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str,
     """The trend as plain JSON values, in file units; nan becomes null."""
 
     def ahead(trend: CoefficientTrend, forecast: Callable[[float], Forecast]) -> dict[str, Any] | None:
-        if at is None or trend.line is None:
+        if at is None or trend.model.line is None:
             return None
         return {"date": at.isoformat(), **(_forecast_document(forecast(drifts.years(at))) or {})}
 

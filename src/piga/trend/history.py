@@ -29,11 +29,11 @@ from piga.trend.trend_line import (
     CONTROL_LIMIT,
     DOUBT,
     LEAST_DAYS,
-    Days,
     Forecast,
-    Line,
     Outlook,
-    line_through,
+    Step,
+    TrendModel,
+    clearest_step,
     merge_by_day,
     moving_average,
     outlook,
@@ -84,54 +84,72 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Chart(Result):
+    """Control chart of the days: score of each day mean, its moving average, and the limit of the average."""
+
+    time: Array
+    score: Array
+    average: Array
+    limit: Array
+
+    @property
+    def shifted(self) -> NDArray[np.bool_]:
+        """Days at which the moving average is beyond its limit."""
+        return np.abs(self.average) > self.limit
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class CoefficientTrend(Result):
     """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
 
-    ``line`` is None with fewer than three days. ``scores`` (days,) is the control chart of the day means, ``average`` its moving
-    average with the control limit ``limit``. ``last_shared`` (sources,) are the errors common to the last record and others.
+    ``last_shared`` (sources,) are the errors common to the last record and other records. ``step`` is the clearest step
+    of the level, None with fewer than five days.
     """
 
     key: str
     unit: str
     points: tuple[Point, ...]
-    days: Days
-    line: Line | None
-    scores: Array
-    average: Array
-    limit: Array
+    chart: Chart
+    model: TrendModel
+    step: Step | None
     last_shared: Array
 
     @property
     def turn_on(self) -> float:
         """Standard deviation within days beyond the stated uncertainty; nan without repeats."""
-        return math.sqrt(self.days.within) if self.days.freedom else math.nan
+        return math.sqrt(self.model.days.within) if self.model.days.freedom else math.nan
 
     @property
     def day_to_day(self) -> float:
         """Standard deviation between days beyond stated uncertainty and turn-on; nan with too few days."""
-        return math.sqrt(self.line.excess) if self.line is not None else math.nan
+        return math.sqrt(self.model.line.excess) if self.model.line is not None else math.nan
 
     @property
     def drift(self) -> Forecast | None:
         """Change per year with its uncertainty, None with fewer than three days."""
-        return self.line.drift if self.line is not None else None
+        return self.model.drift
+
+    @property
+    def stepped(self) -> bool:
+        """True if the clearest step is less likely by chance than a value beyond the control limits."""
+        return self.step is not None and self.step.probability < math.erfc(CONTROL_LIMIT / math.sqrt(2.0))
 
     @cached_property
     def outlook(self) -> Outlook:
         """The models of the scatter, for forecasts."""
-        return outlook(self.days)
+        return outlook(self.model.days)
 
     def coefficient_at(self, time: float) -> Forecast:
         """The coefficient at a turn-on at a time, including common errors of all records."""
-        return self.outlook.at(time, self.days.within)
+        return self.outlook.at(time, self.model.days.within)
 
     def next_record(self, time: float) -> Forecast:
         """Forecast of a further record with the uncertainty and the standards of the last one."""
-        own = self.points[-1].own ** 2 + self.days.within
+        own = self.points[-1].own ** 2 + self.model.days.within
         return self.outlook.at(time, own, self.last_shared)
 
     def alarms(self, dates: Sequence[dt.datetime]) -> Iterator[str]:
-        """Records outside their forecast, and a shift of the moving average; ``dates`` of the records."""
+        """Records outside their forecast, a step of the level, a shift of the moving average; ``dates`` of the records."""
         scale, unit = shown_unit(self.key, self.unit)
         unit = f" {unit}".removesuffix(" 1")
         for point, date in zip(self.points, dates, strict=True):
@@ -142,26 +160,37 @@ class CoefficientTrend(Result):
                     f"{abs(point.score):.1f} standard deviations {side} the forecast from earlier records, "
                     f"{point.forecast.value * scale:.7g}{unit} (limit 3)."
                 )
-        for day in np.flatnonzero(np.abs(self.average) > self.limit)[:1].tolist():
-            side = "above" if self.average[day] > 0.0 else "below"
+
+        def since(day: int) -> str:
             first = next(i for i, point in enumerate(self.points) if point.day == day)
+            return f"{self.key}: from {dates[first]:%Y-%m-%d} (record {self.points[first].record})"
+
+        if self.stepped and (step := self.step):
+            size = _to_two_digits_of(step.std * scale, abs(step.size) * scale)
             yield (
-                f"{self.key}: from {dates[first]:%Y-%m-%d} (record {self.points[first].record}) the values stay {side} the "
-                "forecast from earlier records: the moving average of their deviations passed its control limit."
+                f"{since(step.day)} on the values are {size}{unit} {'higher' if step.size > 0.0 else 'lower'} than a line "
+                "through the earlier ones says. If the instrument was changed then, judge its trend from that day on."
+            )
+        for day in np.flatnonzero(self.chart.shifted)[:1].tolist():
+            side = "above" if self.chart.average[day] > 0.0 else "below"
+            yield (
+                f"{since(day)} the values stay {side} the forecast from earlier records: the moving average of their "
+                "deviations passed its control limit."
             )
 
     def remarks(self) -> Iterator[str]:
         """A drift beyond its 95 % interval, and a scatter of the days that contradicts the stated uncertainties."""
         from scipy.special import chdtr, chdtrc
 
-        drift, line = self.drift, self.line
+        drift, line = self.drift, self.model.line
         if drift is None or line is None:
             return
         if abs(drift.value) > drift.half_width():
             scale, unit = shown_unit(self.key, self.unit)
             value, half = drift.value * scale, drift.half_width() * scale
+            shown, low, high = (_to_two_digits_of(half, end) for end in (value, value - half, value + half))
             unit = f"{unit} per year".removeprefix("1 ")
-            yield f"{self.key} drifts by {value:.3g} {unit} (95 %: +- {half:.2g})."
+            yield f"{self.key} drifts by {shown} {unit} (95 %: {low} to {high})."
         nu, times = line.degrees_of_freedom, math.sqrt(line.chi2 / line.degrees_of_freedom)
         if chdtrc(nu, line.chi2) < DOUBT:
             yield (
@@ -206,6 +235,19 @@ class Trend(Result, Reported):
 
     def _subject(self) -> ModuleType:
         return doors().shown_trend()
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """What a notebook shows of the trend."""
+        drifts = {
+            c.key: f"{c.drift.value:.3g} +- {c.drift.std:.2g} a year" if c.drift else "too few days"
+            for c in self.coefficients
+        }
+        return [
+            ("instrument", self.serial),
+            ("records", f"{len(self.records)}, {self.times[0]:%Y-%m-%d} to {self.times[-1]:%Y-%m-%d}"),
+            ("alarms", "; ".join(self.alarms) or "none"),
+            *drifts.items(),
+        ]
 
 
 @one_thread()
@@ -294,16 +336,16 @@ class _Records:
         doubt = stds**4 / freedoms - doubt
         degrees = np.divide(own**4, doubt, out=np.full_like(own, math.inf), where=doubt > 0.0)
         half = np.asarray(coverage_factor(degrees)) * own
-        days = merge_by_day(self.years, values, own**2, self.days, shared)
-        line = line_through(days) if days.time.size >= LEAST_DAYS else None
+        model = TrendModel(merge_by_day(self.years, values, own**2, self.days, shared))
         forecasts, scores, day_scores = self._expected(values, own, shared)
         lists = (part.tolist() for part in (self.years, self.days, own, half, scores))
         points = tuple(
             Point(name, time, day, c.value, c.std, c.expanded, *rest)
             for name, c, time, day, *rest in zip(self.names, coefficients, *lists, forecasts, strict=True)
         )
-        chart = day_scores, *moving_average(day_scores)
-        return CoefficientTrend(key, coefficients[0].unit, points, days, line, *chart, shared[:, -1].copy())
+        chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
+        step = clearest_step(model.days)
+        return CoefficientTrend(key, coefficients[0].unit, points, chart, model, step, shared[:, -1].copy())
 
     def _shared(self, key: str) -> tuple[Array, Array]:
         """Contributions (sources, records) of Type B that are common to all records, and their part of ``u^4/nu``.
@@ -327,14 +369,14 @@ class _Records:
         for day in range(LEAST_DAYS, count):
             before, today = self.days < day, np.flatnonzero(self.days == day)
             earlier = self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
-            line = line_through(merge_by_day(*earlier))
+            model = TrendModel(merge_by_day(*earlier))
             for i in today.tolist():
-                forecast = line.record_at(float(self.years[i]), float(own[i]), shared[:, i])
+                forecast = model.record_at(float(self.years[i]), float(own[i]), shared[:, i])
                 forecasts[i], scores[i] = forecast, forecast.score(float(values[i]))
-            weights = 1.0 / (own[today] ** 2 + line.days.within)
+            weights = 1.0 / (own[today] ** 2 + model.days.within)
             mean = weights @ values[today] / weights.sum()
             common = shared[:, today] @ weights / weights.sum()
-            expected = line.at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
+            expected = model.at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
             day_scores[day] = expected.score(float(mean))
         return forecasts, scores, day_scores
 
@@ -354,6 +396,12 @@ class _Records:
         alone = sum(one.type_a_only for one in calibrations)
         if alone:
             yield f"{alone} of {n} records: {TYPE_A_ONLY}."
+        without = sum(not len(calibration.budget) for calibration in calibrations)
+        if without:
+            yield (
+                f"{without} of {n} records have no uncertainty budget: their whole uncertainty counts as "
+                "their own, although a part may be shared."
+            )
 
 
 def _shared_part(common: Common, source: str) -> float:
@@ -366,3 +414,8 @@ def _shared_part(common: Common, source: str) -> float:
     if drawn_for(source.split(" ", maxsplit=1)[0]) != "reference":
         return 0.0
     return 1.0 if isinstance(common, Mapping) else float(common)
+
+
+def _to_two_digits_of(half: float, number: float) -> str:
+    last = 1 - math.floor(math.log10(half))
+    return f"{round(number, last):.{max(last, 0)}f}" if last < 5 else f"{round(number, last):.12g}"

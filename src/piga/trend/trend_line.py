@@ -1,4 +1,4 @@
-"""Days of a history, the line through them with an excess variance, control chart and forecast.
+"""Days of a history, the line through them with an excess variance, a step in it, control chart and forecast.
 
 Model of the days: ``y_i = b_0 + b_1 t_i + d_i + e_i``; ``var(e_i) = v_i`` is stated, ``var(d_i)`` is estimated from the
 scatter (Paule and Mandel). Intervals of the line use the weighted residual sum and Student's t (Hartung and Knapp).
@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,8 @@ _SMOOTHING = 0.2
 """Weight of the newest score in the moving average of the control chart."""
 CONTROL_LIMIT = 3.0
 """Control limit of scores and of their moving average, in its standard deviations."""
+_BESIDE_STEP = 2
+"""Fewest days before and after a step."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,6 +100,99 @@ def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale
     return scale * float(brentq(lambda part: residual_sum(part * scale) - freedom, 0.0, 1.0, xtol=1e-15))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Line(Result):
+    """Weighted least squares of the day means: a straight line about the time ``origin``, perhaps with a step.
+
+    ``coefficients`` are the value at ``origin``, the change per unit of time and, if there is one, the step. ``covariance`` is
+    theirs by the scatter, ``shared`` (coefficients, sources) the effect of errors common to the values.
+    ``excess`` is the variance ``tau^2`` beyond the mean stated one, ``stated``; zero if the stated one explains the scatter.
+    ``scale`` is the weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
+    scatter less than stated, but not less than its 20 % quantile. ``chi2`` is the sum with the stated variances alone.
+    """
+
+    origin: float
+    coefficients: Array
+    covariance: Array
+    shared: Array
+    excess: float
+    stated: float
+    scale: float
+    chi2: float
+    degrees_of_freedom: int
+
+    def at(self, time: float) -> tuple[float, float, Array]:
+        """Value of a line without step, its variance from the scatter, and the effect (sources,) of common errors."""
+        part = np.array([1.0, time - self.origin])
+        return float(part @ self.coefficients), float(part @ self.covariance @ part), part @ self.shared
+
+
+def line_through(days: Days, step: int | None = None) -> Line:
+    """The line through three days or more; ``step``: with a step before this day."""
+    from scipy.special import chdtri
+
+    t, y, v = days.time, days.means, days.variances
+    origin = float(t.mean())
+    columns = [np.ones(t.size), t - origin] + ([] if step is None else [np.arange(t.size) >= step])
+    design, since = np.stack(columns, axis=1), y - y[0]
+    freedom = t.size - design.shape[1]
+
+    def weights(excess: float) -> tuple[Array, float]:
+        """Weights (coefficients, days) of the estimates, and the weighted residual sum."""
+        root = 1.0 / np.sqrt(v + excess)
+        q, r = np.linalg.qr(root[:, None] * design)
+        estimate = np.linalg.solve(r, q.T * root)
+        return estimate, float(np.sum((root * (since - design @ (estimate @ since))) ** 2))
+
+    chi2 = weights(0.0)[1]
+    excess = _excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
+    estimate, residual_sum = weights(excess)
+    scale = max(residual_sum, float(chdtri(freedom, 1.0 - _LOW_SUM))) / freedom
+    coefficients = estimate @ since
+    coefficients[0] += y[0]
+    return Line(
+        origin=origin,
+        coefficients=coefficients,
+        covariance=scale * (estimate * (v + excess)) @ estimate.T,
+        shared=estimate @ days.shared,
+        excess=excess,
+        stated=float(v.mean()),
+        scale=scale,
+        chi2=chi2,
+        degrees_of_freedom=freedom,
+    )
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the level: ``day`` is the first day after it. ``probability``: that chance makes one as clear in a history."""
+
+    day: int
+    size: float
+    std: float
+    probability: float
+
+
+def clearest_step(days: Days) -> Step | None:
+    """The clearest step that stands beside a line through all days; None with fewer than five days.
+
+    For each place the line is fitted with a step there, with its own excess variance (Paule and Mandel). The probability is
+    that of Student's t, times the number of places (Bonferroni).
+    """
+    from scipy.special import stdtr
+
+    places = range(_BESIDE_STEP, days.time.size - _BESIDE_STEP + 1)
+    if days.time.size < 5:
+        return None
+    steps = []
+    for place in places:
+        line = line_through(days, place)
+        size, std = float(line.coefficients[2]), math.sqrt(line.covariance[2, 2])
+        chance = 2.0 * len(places) * float(stdtr(line.degrees_of_freedom, -abs(size) / std))
+        steps.append(Step(place, size, std, min(1.0, chance)))
+    return min(steps, key=lambda step: step.probability)
+
+
 @dataclass(frozen=True)
 class Forecast:
     """Value at a time with its standard uncertainty and (effective) degrees of freedom."""
@@ -121,57 +218,53 @@ class Forecast:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line(Result):
-    """Weighted least squares of the day means: a straight line about the time ``origin``.
-
-    ``coefficients`` are the value at ``origin`` and the change per unit of time. ``covariance`` is theirs by the scatter,
-    ``shared`` (coefficients, sources) the effect of errors common to the values.
-    ``excess`` is the variance ``tau^2`` beyond the mean stated one, ``stated``; zero if the stated one explains the scatter.
-    ``scale`` is the weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
-    scatter less than stated, but not less than its 20 % quantile. ``chi2`` is the sum with the stated variances alone.
-    """
+class TrendModel(Result):
+    """Records merged by day, and the line through the days; times in years."""
 
     days: Days
-    origin: float
-    coefficients: Array
-    covariance: Array
-    shared: Array
-    excess: float
-    stated: float
-    scale: float
-    chi2: float
-    degrees_of_freedom: int
+
+    @cached_property
+    def line(self) -> Line | None:
+        """The line through the days, None with fewer than three."""
+        return line_through(self.days) if self.days.time.size >= LEAST_DAYS else None
 
     @property
-    def drift(self) -> Forecast:
-        """Change per unit of time."""
-        parts = (self.covariance[1, 1], self.degrees_of_freedom), (np.sum(self.shared[1] ** 2), math.inf)
-        return _combined(1.0, self.coefficients[1], parts)
+    def drift(self) -> Forecast | None:
+        """Change per year, None with fewer than three days."""
+        if (line := self.line) is None:
+            return None
+        parts = (line.covariance[1, 1], line.degrees_of_freedom), (np.sum(line.shared[1] ** 2), math.inf)
+        return _combined(1.0, line.coefficients[1], parts)
 
     def record_at(self, time: float, own: float, shared: Array) -> Forecast:
-        """Forecast of a record; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
+        """Forecast of a record by the line; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
         usual = float(np.median(self.days.variances)) if self.days.freedom else math.inf
         day = min(own**2, usual)
         return self.at(time, day, shared, self.days.within + own**2 - day)
 
     def at(self, time: float, day: float, shared: Array, inside: float = 0.0) -> Forecast:
-        """Forecast of a value with variances ``day`` between days and ``inside`` within the day.
+        """Forecast by the line of a value with variances ``day`` between days and ``inside`` within the day.
 
         The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
         needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's variance,
         ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``, is therefore added. In simulation this keeps the intervals
         near 95 %.
         """
-        part = np.array([1.0, time - self.origin])
-        unsure = math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
-        doubt = 0.5 * unsure * max(0.0, 1.0 - day / self.stated)
-        scatter = float(part @ self.covariance @ part) + self.scale * (self.excess + day) + doubt
+        line = self.line
+        if line is None:
+            raise _TOO_FEW
+        value, variance, common = line.at(time)
+        unsure = math.sqrt(2.0 / line.degrees_of_freedom) * (line.excess + line.stated)
+        doubt = 0.5 * unsure * max(0.0, 1.0 - day / line.stated)
         parts = (
-            (scatter, self.degrees_of_freedom),
+            (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
             (inside, self.days.freedom or math.inf),
-            (np.sum((part @ self.shared - shared) ** 2), math.inf),
+            (np.sum((common - shared) ** 2), math.inf),
         )
-        return _combined(time, float(part @ self.coefficients), parts)
+        return _combined(time, value, parts)
+
+
+_TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
 
 
 def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
@@ -180,54 +273,20 @@ def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -
     return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
 
 
-def line_through(days: Days) -> Line:
-    """The line through three days or more."""
-    from scipy.special import chdtri
-
-    t, y, v = days.time, days.means, days.variances
-    origin = float(t.mean())
-    design, since = np.stack([np.ones(t.size), t - origin], axis=1), y - y[0]
-    freedom = t.size - 2
-
-    def weights(excess: float) -> tuple[Array, float]:
-        """Weights (coefficients, days) of the estimates, and the weighted residual sum."""
-        root = 1.0 / np.sqrt(v + excess)
-        q, r = np.linalg.qr(root[:, None] * design)
-        estimate = np.linalg.solve(r, q.T * root)
-        return estimate, float(np.sum((root * (since - design @ (estimate @ since))) ** 2))
-
-    chi2 = weights(0.0)[1]
-    excess = _excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
-    estimate, residual_sum = weights(excess)
-    scale = max(residual_sum, float(chdtri(freedom, 1.0 - _LOW_SUM))) / freedom
-    return Line(
-        days=days,
-        origin=origin,
-        coefficients=estimate @ since + [y[0], 0.0],
-        covariance=scale * (estimate * (v + excess)) @ estimate.T,
-        shared=estimate @ days.shared,
-        excess=excess,
-        stated=float(v.mean()),
-        scale=scale,
-        chi2=chi2,
-        degrees_of_freedom=freedom,
-    )
-
-
 def moving_average(scores: Array) -> tuple[Array, Array]:
     """Exponentially weighted moving average of the scores, and its control limit.
 
     For independent standard normal scores the variance after ``n`` of them is
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
-    from scipy.signal import lfilter
-
     averages, limits = np.full((2, scores.size), np.nan)
-    seen, weight = np.flatnonzero(~np.isnan(scores)), _SMOOTHING
-    cut = np.clip(scores[seen], -CONTROL_LIMIT, CONTROL_LIMIT)
-    averages[seen] = lfilter([weight], [1.0, weight - 1.0], cut)
+    seen, most, weight = np.flatnonzero(~np.isnan(scores)), CONTROL_LIMIT, _SMOOTHING
+    steps = weight * np.clip(scores[seen], -most, most)
+    averages[seen] = list(
+        accumulate(steps, lambda average, step: (1.0 - weight) * average + step, initial=0.0)
+    )[1:]
     remembered = (1.0 - weight) ** (2 * np.arange(1, seen.size + 1))
-    limits[seen] = CONTROL_LIMIT * np.sqrt(weight / (2.0 - weight) * (1.0 - remembered))
+    limits[seen] = most * np.sqrt(weight / (2.0 - weight) * (1.0 - remembered))
     return averages, limits
 
 
@@ -299,7 +358,7 @@ def outlook(days: Days) -> Outlook:
     """The models of the scatter of three days or more."""
     n = days.time.size
     if n < LEAST_DAYS:
-        raise ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
+        raise _TOO_FEW
     since, design = days.time - days.time[0], _design(days.time)
     q, _ = np.linalg.qr(design)
     about_line = np.eye(n) - q @ q.T
