@@ -116,6 +116,13 @@ def test_the_servo_of_a_centrifuge_alone_is_in_u_of_all_that_it_moves(seed):
     assert sound["scale_factor"].expanded < 4e-6
 
 
+def test_a_phase_in_each_level_leaves_the_servo_of_a_centrifuge_in_u_of_k():
+    run = verdict.arm(1, verdict.Fault(servo=2e-6 / G0**2))
+    result = piga.calibrate(run, ON_ARM, phases="per-segment")
+    assert any(row.source in (SOURCE, "servo terms that the model lacks") for row in result.budget)
+    assert abs(result["scale_factor"].value - verdict.K * G0) < result["scale_factor"].expanded
+
+
 def test_a_servo_that_a_model_without_coupling_cannot_tell_is_listed_with_its_effect():
     terms = ["scale_factor", "k0", "k2"]
     sound, yielding = (

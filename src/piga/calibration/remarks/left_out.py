@@ -93,8 +93,6 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
     asked = _asked_cube(coefficients, square) if square is not None and without_servo and not waived else ()
     cube = square is not None and scaled and not {*CUBIC} & held
     damping = "servo_damping" not in held and all(len(summary.labels) == 1 for summary in fit.summaries)
-    if not cube and not damping:
-        return asked
     cubic = candidates.test(("k3",)) if cube else None
     doubts: list[LeftOut] = []
     if cubic is not None and cubic.probability <= _CLEAR:
