@@ -11,6 +11,7 @@ from piga.reports.render.numbers import (
     ascii_text,
     count,
     fixed,
+    pretty_unit,
     printed,
     relative,
     rounded,
@@ -104,3 +105,10 @@ def test_a_power_of_ten_is_ascii_whatever_its_digits():
     assert ascii_text("(2.0 ± 0.3)\u00a0×\u00a010⁻¹²") == "(2.0 +/- 0.3)e-12"
     assert ascii_text("2.40\u00a0×\u00a010³ µg/g³, 12\u202f000") == "2.40e3 ug/g^3, 12000"
     assert ascii_text("–") == "-"
+
+
+def test_units_with_roots_are_plain_in_any_terminal():
+    assert [ascii_text(pretty_unit(unit)) for unit in ("V/sqrt(Hz)", "rad/sqrt(s)")] == [
+        "V/sqrt(Hz)",
+        "rad/sqrt(s)",
+    ]

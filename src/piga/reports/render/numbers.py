@@ -152,7 +152,7 @@ def printed(number: str) -> str:
 def ascii_text(text: str) -> str:
     """A printed text for any terminal."""
     text = re.sub(rf"\s*×\s*10([{_RAISED}]+)", lambda found: f"e{found[1].translate(_LOWER)}", text)
-    return text.replace("√s", "sqrt(s)").translate(_ASCII)
+    return re.sub("√(Hz|s)", r"sqrt(\1)", text).translate(_ASCII)
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Container[int] = ()) -> list[str]:
