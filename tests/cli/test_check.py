@@ -159,7 +159,7 @@ def test_text_page_and_json(static_log, tmp_path, capsys):
     assert code == 0, err
     assert "random walk N" in out
     assert "not seen" in out
-    assert "V/√Hz" in out
+    assert "V/sqrt(Hz)" in out
     page = (tmp_path / "noise" / "noise.html").read_text()
     assert "Deviations of the rate" in page
     assert "Spectrum of the rate" in page
