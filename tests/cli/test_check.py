@@ -17,7 +17,7 @@ import pytest
 
 import piga
 from piga.cli.check import explain
-from piga.data import example_files
+from piga.data import copy_example, example_files
 from piga.describe.draft import FILES, places_of
 from piga.records.terms import TERM_WORDS, UNITS, term_words
 from tests.cli.runner import invoked, outcome
@@ -40,6 +40,19 @@ def test_everything_in_one_pass_with_a_page(tmp_path: Path) -> None:
     page = (tmp_path / "page" / "check.html").read_text(encoding="utf-8")
     for words in ("missing-value", "interval [s]", "specific force [g]", "output [rev]", "SHA-256"):
         assert words in page
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"), [("levelling = '1 arcsex'", "arcsex"), ("arm_radius = '1 um'", "arm_radius")]
+)
+def test_an_uncertainty_that_the_stand_does_not_have_is_refused_before_the_fit(tmp_path, entry, words) -> None:
+    path = copy_example(tmp_path)
+    stand = "[stand]\nkind = 'dividing-head'\nlatitude = '40 deg'\npositions = '0:360:15 deg'\n"
+    logged = re.sub(r"(?m)^(reference|base_rate) =.*$", "", path.read_text().split("[uncertainty]")[0])
+    path.write_text(f"{logged}{stand}[uncertainty]\n{entry}\n")
+    code, _, message = run("check", path)
+    assert code != 0
+    assert words in message
 
 
 def test_convert_gives_the_same_record(tmp_path: Path) -> None:

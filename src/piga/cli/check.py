@@ -95,8 +95,9 @@ def _open_lines(
     described: LogDescription, draft: RunFileDraft, target: Path, settings: list[str], columns: list[str]
 ) -> Iterator[str]:
     """What the log does not say, and the two ways to answer."""
-    yield f"{counted(len(draft.open), 'question')} open, since the log does not say it:"
-    for one in (*draft.open, *draft.optional):
+    questions = (*draft.open, *draft.optional)
+    yield f"{counted(len(questions), 'question')} open, since the log does not say it:"
+    for one in questions:
         yield f"  {one.key}: {one.words}"
     unused = [one.name for one in described.columns if one.kind == "other" and one.name in described.numbers]
     if unused and any(one.key in ("data.output", "data.reference") for one in draft.open):
@@ -108,9 +109,7 @@ def _open_lines(
     yield f"Answer in {target} (lines marked OPEN), or run the command again:"
     given = [f"--set {shlex.quote(text)}" for text in settings]
     given += [f"--column {shlex.quote(text)}" for text in columns]
-    answers = " ".join(
-        [*given, *(f"--set {one.key}='{one.example}'" for one in (*draft.open, *draft.optional))]
-    )
+    answers = " ".join([*given, *(f"--set {one.key}='{one.example}'" for one in questions)])
     yield f"  piga init {_typed(described.path)} --out {_typed(target)} --force {answers}"
 
 
@@ -165,7 +164,7 @@ def check(
     run: Annotated[Path | None, argument("RUN.toml", "Run file of the recorded test.")] = None,
     out: Annotated[Path | None, option("DIR", "Write check.html with a picture of the record.")] = None,
     fix_suggestions: Annotated[
-        bool, flag("--fix-suggestions", "Print lines that settle what is open.")
+        bool, flag("--fix-suggestions", "Print lines that settle refusals and units.")
     ] = False,
     terms: Annotated[bool, flag("--terms", "Also say which terms the record determines (slow).")] = False,
     explain: Annotated[str | None, option("KEY", "Say what a key of any TOML file means.")] = None,
@@ -178,11 +177,13 @@ def check(
         return
     if run is None:
         raise ArgumentError("no run file is named", remedy="piga check RUN.toml, or piga check --explain KEY")
-    from piga.stand import read_run
+    from piga.stand import read_run, stand_changes
 
     try:
         with progress("reading"):
             record = read_run(run)
+            for _ in stand_changes(record):  # refuses what calibrate would refuse in [uncertainty]
+                pass
     except PigaError:
         if fix_suggestions:
             say("\n".join(suggested_lines(run)))
