@@ -168,7 +168,7 @@ class CampaignPlan:
                 return self.record(group.start + (case - group.first) * group.repeats + repeat)
         raise RunFileError(
             f"{self.path}: there is no record of case {case}, repeat {repeat}",
-            remedy=f"the campaign has {sum(g.designs for g in self.groups)} cases; repeats count from 0",
+            remedy=f"cases count from 0 to {sum(g.designs for g in self.groups) - 1}, repeats from 0",
         )
 
     def document(self, record: RecordName) -> dict[str, Any]:

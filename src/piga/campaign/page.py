@@ -102,7 +102,7 @@ def _tone(c: CampaignCoefficient) -> Tone:
 def _tiles(collected: Collected, judged: list[GroupResult]) -> tuple[Tile, ...]:
     failed = collected.failed
     tiles = [
-        Tile("Records", str(collected.computed), f"of {collected.records}", f"{len(collected.groups)} groups"),
+        Tile("Records", str(collected.computed), f"of {collected.records}", f"groups: {len(collected.groups)}"),
         Tile("Failed", str(failed), "", "see below" if failed else "none", "doubtful" if failed else "good"),
     ]
     shares = [(c.coverage, c.name, r.label) for r in judged for c in r.coefficients if c.coverage is not None]

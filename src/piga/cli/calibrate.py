@@ -156,7 +156,8 @@ def demo(
             write_results(calibration, to.stage)
         with progress("compensating"):
             compensate_run(record, calibration).to_parquet(to / "compensated.parquet")
-        program = "piga" if shutil.which("piga") else sys.argv[0]  # an environment that is not activated
+        here = f"{sys.executable} -m piga"  # in an environment that is not activated
+        program = "piga" if shutil.which("piga") else here
         again = f"To go on: change {to.folder}/{run.name} and run: {program} calibrate {to.folder}/{run.name}"
         to.tell(dict, lambda: f"{calibration.summary()}\n\n{again}")
 

@@ -315,7 +315,7 @@ def import_export(
         added = import_records(kept, archive, operator, reason)
         head = kept.head()
     document = {"added": added, "records": head.number}
-    _tell(store, head, as_json, document, [f"imported {len(added)} records from {archive}"])
+    _tell(store, head, as_json, document, [f"imported {counted(len(added), 'record')} from {archive}"])
 
 
 @app.command()

@@ -75,12 +75,13 @@ def _curve(run: Run, values: Array) -> tuple[Array, Array]:
 def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
     """What is in a record; ``prospects`` say what it determines."""
     quality, size = run.quality, norms(run.f) / G0
+    found = len(quality.events)
     share = 100.0 * quality.used / max(quality.rows, 1)
     used = f"of {count(quality.rows)} ({share:.6g} %)"
     kept = "kept through the whole record" if _kept(run) else "lost between segments"
     tiles = (
         Tile("Rows used", count(quality.used), "", used, "good" if share > 99 else "doubtful"),
-        Tile("Findings", f"{len(quality.events)}", "kinds", "", "good" if not quality.events else "doubtful"),
+        Tile("Findings", f"{found}", "kind" if found == 1 else "kinds", "", "doubtful" if found else "good"),
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches, {rate(run):.6g} Hz"),
         Tile("Segments", f"{len(run.labels)}", "", "" if run.direct else f"phase {kept}"),
         Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
