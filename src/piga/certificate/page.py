@@ -63,7 +63,7 @@ def require_complete(
         raise CalibrationError(
             f"the certificate cannot be issued: {len(missing)} item{'s' * (len(missing) > 1)} of ISO/IEC 17025:2017 "
             f"missing or wrong\n{listed}",
-            remedy="complete the file given with --data",
+            remedy="complete the file given with --data; sources of the stand belong in the run file",
         )
 
 
