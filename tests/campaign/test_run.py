@@ -65,8 +65,8 @@ def test_killed_many_times(tmp_path, uninterrupted, seed):
         process = start("run", path, "--out", out, "--workers", 2)
         wait_for(process, lambda process=process: workers(process))
         time.sleep(rng.uniform(0.0, 4.0))
-        victims = [psutil.Process(process.pid)] if rng.random() < 0.5 else workers(process)
-        with contextlib.suppress(psutil.Error, IndexError):
+        with contextlib.suppress(psutil.Error, IndexError):  # the run may have ended
+            victims = [psutil.Process(process.pid)] if rng.random() < 0.5 else workers(process)
             rng.choice(victims).kill()
         process.communicate(timeout=600)
     assert call("run", path, "--out", out, "--workers", 2)[0] == 0
