@@ -88,6 +88,10 @@ class Outline(msgspec.Struct, frozen=True):
     thinned: int = 1
 
 
+_OUTLINE = msgspec.json.Decoder(Outline)
+"""Made once: msgspec may crash if two threads meet a type for the first time."""
+
+
 def cache_key(paths: list[Path]) -> str:
     """Name of the cache of a record. It changes if any file of the record changes."""
     states = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths if path.is_file()]
@@ -97,7 +101,7 @@ def cache_key(paths: list[Path]) -> str:
 def read_outline(folder: Path) -> Outline | None:
     """The outline of a complete cache; None if there is none."""
     try:
-        return msgspec.json.decode((folder / "outline.json").read_bytes(), type=Outline)
+        return _OUTLINE.decode((folder / "outline.json").read_bytes())
     except (OSError, msgspec.MsgspecError):
         return None
 
