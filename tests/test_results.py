@@ -240,7 +240,7 @@ def test_the_table_of_a_calibration(cal):
     assert frame.loc["k0", "unit_si"] == "m/s^2"
     assert (frame.loc["k0", "low"], frame.loc["k0", "high"]) == cal["k0"].limits
     assert cal.table_notes()
-    assert b"Type A only" in cal.to_arrow().schema.metadata[b"piga.notes"]
+    assert b"the reference's uncertainty was not given" in cal.to_arrow().schema.metadata[b"piga.notes"]
 
 
 def test_xarray_has_units(run, cal):

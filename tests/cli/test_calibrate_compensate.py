@@ -28,7 +28,13 @@ def test_command_writes_columns_and_units(tmp_path, monkeypatch, capsys, kind):
         assert json.loads(table.schema.metadata[b"piga.flags"])["locked"] == 2
     else:
         table = pa.csv.read_csv(out)
-        assert table.column_names == ["t [s]", "ax [m/s^2]", "dv [m/s]", "u_ax (Type A only) [m/s^2]", "flags"]
+        assert table.column_names == [
+            "t [s]",
+            "ax [m/s^2]",
+            "dv [m/s]",
+            "u_ax (reference not included) [m/s^2]",
+            "flags",
+        ]
     assert np.abs(table.column(1).to_numpy()[1:] - G0).max() < 1e-9 * G0
 
 
@@ -70,7 +76,7 @@ def test_triad_file(tmp_path, monkeypatch, capsys):
     code, _, text = command(monkeypatch, capsys, tmp_path / "triad.toml", "--out", tmp_path / "o.parquet")
     assert code == 0, text
     assert "no_increment: 1 row\n" in text
-    assert text.count("piga: calibration of A: Type A only") == 3
+    assert text.count("piga: calibration of A: the reference's uncertainty was not given") == 3
     table = pa.parquet.read_table(tmp_path / "o.parquet")
     assert table.column_names == [
         "t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "u_fx", "u_fy", "u_fz", "residual", "flags",

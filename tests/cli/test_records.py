@@ -16,7 +16,7 @@ from piga.cli.records import history as records_of
 from piga.cli.records import trend
 from piga.errors import PigaError
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.calibration.document import calibration_to_bytes
 from tests.cli.runner import outcome
 from tests.ledger.store.drafts import add, filled
@@ -61,8 +61,8 @@ def test_the_life_of_a_record(tmp_path: Path, records: Command) -> None:
     assert taken["added"] == [name]
     same = ok(records, "diff", "1", name, *LAB)
     assert re.search(r"k0 +0 \+/- [\d.]+ +ug +0\.00 u", same), same
-    assert f"  {name}: {TYPE_A_ONLY}" in ok(records, "diff", "1", name, *LAB)
-    assert json.loads(ok(records, "diff", "1", name, *LAB, "--json"))["notes"] == [f"{name}: {TYPE_A_ONLY}"]
+    assert f"  {name}: {NO_REFERENCE}" in ok(records, "diff", "1", name, *LAB)
+    assert json.loads(ok(records, "diff", "1", name, *LAB, "--json"))["notes"] == [f"{name}: {NO_REFERENCE}"]
     assert head in ok(records, "backup", "copy.zip", *LAB)
     assert head in ok(records, "restore", "copy.zip", "--store", "c.sqlite")
     names = {path.name for path in tmp_path.iterdir()}

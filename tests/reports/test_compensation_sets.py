@@ -10,7 +10,8 @@ import pyarrow.parquet
 import pytest
 
 from piga.compensation import FLAGS, SetCompensator, compensate_set
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import NO_REFERENCE
+from piga.reports.calibration.tables import sentence
 from piga.reports.compensation import (
     compensation_page,
     force_figure,
@@ -56,13 +57,13 @@ def test_misfits_make_the_residual_and_flags_the_flags():
     assert records.misfit.shape == (4, 300)
 
 
-def test_the_page_of_a_set_says_type_a_only():
+def test_the_page_of_a_set_says_that_the_reference_is_not_in_u():
     """In the verdict, once, with the names of the instruments: no calibration here states the reference's uncertainty."""
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 200)
     page = compensation_page(result, NAMES, (), {})
     assert page.judgement is not None
     assert page.judgement.tone == "doubtful"
-    assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {TYPE_A_ONLY}"]
+    assert [what for what, _ in page.judgement.problems] == [f"{', '.join(NAMES)}: {sentence(NO_REFERENCE)}"]
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from piga.errors import ArgumentError
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.trend.history import YEAR, Forecast, _to_two_digits_of, find_trend
 from piga.trend.trend_line import moving_average
 from tests.chance import assert_variance
@@ -147,7 +147,7 @@ def test_a_quiet_history_raises_none():
     rng = np.random.default_rng(6)
     trend = find_trend(history(np.arange(20) / 10, 1e-3 + rng.normal(0, 1e-6, 20), 1e-6))
     assert trend.alarms == ()
-    assert trend.remarks == (f"20 of 20 records: {TYPE_A_ONLY}.",)
+    assert trend.remarks == (f"20 of 20 records: {NO_REFERENCE}.",)
 
 
 def test_remarks():

@@ -17,7 +17,7 @@ from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.progress import Progress, report
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import TYPE_A_ONLY
+from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.run import Run
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular, number_column
 from piga.units import G0, MICRO_G
@@ -92,12 +92,11 @@ def schema_of(
 
 
 def _heading(name: str, notes: tuple[str, ...]) -> str:
-    """Name of a CSV column: ``name [unit]``; that of an uncertainty which is Type A only says so."""
+    """Name of a CSV column: ``name [unit]``; that of an uncertainty without the reference's says so."""
     if name == "flags":
         return name
-    short = TYPE_A_ONLY.partition(";")[0]
-    alone = f" ({short})" if name.startswith("u_") and any(TYPE_A_ONLY in note for note in notes) else ""
-    return f"{name}{alone} [{_unit_of_column(name)}]"
+    lacks = name.startswith("u_") and any(NO_REFERENCE in note for note in notes)
+    return f"{name}{' (reference not included)' if lacks else ''} [{_unit_of_column(name)}]"
 
 
 def _opened(
@@ -280,7 +279,7 @@ class Compensated(_Rows, Reported):
         write_rows(self, Path(path), "parquet")
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV file with units in the header. If ``u_ax`` is Type A only, its heading says so."""
+        """Write a CSV file with units in the header. If ``u_ax`` lacks the reference's uncertainty, its heading says so."""
         write_rows(self, Path(path), "csv")
 
 
@@ -289,7 +288,7 @@ def notes_on(*calibrations: Calibration) -> tuple[str, ...]:
     alone = [c.serial or f"instrument {n}" for n, c in enumerate(calibrations, 1) if c.type_a_only]
     if not alone:
         return ()
-    return (TYPE_A_ONLY if len(calibrations) == 1 else f"{', '.join(alone)}: {TYPE_A_ONLY}",)
+    return (NO_REFERENCE if len(calibrations) == 1 else f"{', '.join(alone)}: {NO_REFERENCE}",)
 
 
 def notes_on_samples(past: Any, sampled: bool, *calibrations: Calibration) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from piga.ledger.store.store import Store
 from piga.output import check_results
 from piga.reading.columns import stand_files
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient
+from piga.records.calibration.coefficient import NO_REFERENCE, Coefficient
 from piga.records.calibration.document import (
     MOST_BYTES,
     calibration_from_bytes,
@@ -320,7 +320,7 @@ def difference(store: Store, first: str | int, second: str | int) -> dict[str, A
             for name in dict.fromkeys((*then, *now))
             if then.get(name) != now.get(name)
         },
-        "notes": [f"{name}: {TYPE_A_ONLY}" for name, one in calibrations.items() if one.type_a_only],
+        "notes": [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only],
     }
 
 

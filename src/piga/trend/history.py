@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import TYPE_A_ONLY, Coefficient, coverage_factor
+from piga.records.calibration.coefficient import NO_REFERENCE, Coefficient, coverage_factor
 from piga.records.run_file import drawn_for
 from piga.records.terms import shown_unit
 from piga.results import Array, Reported, Result, drawn
@@ -395,7 +395,7 @@ class _Records:
             )
         alone = sum(one.type_a_only for one in calibrations)
         if alone:
-            yield f"{alone} of {n} records: {TYPE_A_ONLY}."
+            yield f"{alone} of {n} records: {NO_REFERENCE}."
         without = sum(not len(calibration.budget) for calibration in calibrations)
         if without:
             yield (

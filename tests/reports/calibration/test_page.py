@@ -5,8 +5,11 @@ import re
 import numpy as np
 import pytest
 
+import piga
 from piga.calibration.orders import residual_angles
+from piga.data import copy_example
 from piga.records.calibration.coefficient import Amount
+from piga.reports.calibration.page import brief
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.calibration.tables import budget_tables, residual_quantity
 from piga.reports.render.numbers import ascii_text
@@ -144,3 +147,11 @@ def test_a_log_of_rates_is_reported_as_rates():
     wanted = np.cumsum(step * 0.5 * (rates.residuals.after[first][1:] + rates.residuals.after[first][:-1]))
     np.testing.assert_allclose(angles.after[1:50] - angles.after[0], wanted, rtol=1e-9, atol=1e-12)
     assert residual_angles(cal.residuals, cal.diagnostics.residual_kind) is cal.residuals
+
+
+def test_page_and_terminal_list_the_same_tests(tmp_path):
+    """Also of a record with a line in the order spectrum: that is named at its figure."""
+    cal = piga.calibrate(piga.read_run(copy_example(tmp_path)))
+    page = calibration_page(cal)
+    assert page.judgement == brief(cal).judgement
+    assert any("Line at order" in note for figure in page.figures() for note in figure.notes)

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from piga.errors import CalibrationError
 from piga.records.calibration.coefficient import (
+    NO_REFERENCE,
     OF_THE_MODEL,
-    TYPE_A_ONLY,
     BudgetTable,
     Coefficient,
     Level,
@@ -246,8 +246,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         return columns_of(rows, units)
 
     def table_notes(self) -> tuple[str, ...]:
-        """The remark that uncertainties are of Type A only, where it holds."""
-        return (TYPE_A_ONLY,) if self.type_a_only else ()
+        """The remark that the reference's uncertainty was not given, where it holds."""
+        return (NO_REFERENCE,) if self.type_a_only else ()
 
     def __getitem__(self, key: str) -> Coefficient:
         for coefficient in self.coefficients:

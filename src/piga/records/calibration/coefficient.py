@@ -19,8 +19,8 @@ from piga.results import ByValue, Column, Result, Shown, Tabular, columns_of
 
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
-TYPE_A_ONLY = "Type A only; the reference's uncertainty was not given"
-"""Remark beside every uncertainty of a calibration whose budget has no source of Type B."""
+NO_REFERENCE = "the reference's uncertainty was not given"
+"""Remark beside every uncertainty of a calibration whose budget has no source of Type B of the reference."""
 OF_THE_MODEL = ("servo ", "k3 ", "meaning of ", "earth_rate", "height")
 """Prefixes of the names of Type B sources that belong to the model, or whose size nobody stated."""
 _ALMOST_KNOWN = 1e9

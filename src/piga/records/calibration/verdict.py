@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from piga.records.calibration.coefficient import TYPE_A_ONLY, StandSource
+from piga.records.calibration.coefficient import NO_REFERENCE, StandSource
 from piga.units import G0
 
 if TYPE_CHECKING:
@@ -264,14 +264,13 @@ def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]
     sources = calibration.sources
     open_ones = [source for source in sources if source.status in _OPEN]
     if open_ones:
-        alone = f"{TYPE_A_ONLY}. " if calibration.type_a_only else ""
         named = ", ".join(map(_open_words, open_ones))
-        what = f"{alone}T{contained[1:]}; not stated: {named}{_largest_effects(calibration, open_ones)}"
+        what = f"{contained}; not stated: {named}{_largest_effects(calibration, open_ones)}"
         example = 'waived = { timing = "clock of the laboratory" }'
         yield Doubt(what, f"state them in [uncertainty], or waive one with a reason: {example}")
     elif calibration.type_a_only and not sources:
         remedy = "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
-        yield Doubt(TYPE_A_ONLY, remedy)
+        yield Doubt(NO_REFERENCE, remedy)
     elif sources:
         yield f"{contained} of the stand"
     yield from (_open_words(source) for source in sources if source.status == "bounded")

@@ -32,7 +32,7 @@ _LAGS = 40
 """Lags of the autocorrelation."""
 _SHOWN, _OUTLINE = 1 << 20, 50_000
 """Samples that figures work on at most, and points of the residuals of a longer record."""
-BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
+_BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
 """Why a line stands in the spectrum of a counted output."""
 _COUNTED_NOTE = (
     "The output is read in whole counts: the distribution is flat, and lags outside the band correlate as whole counts make "
@@ -198,7 +198,7 @@ def _order_lines(spectrum: OrderSpectrum, cal: Calibration) -> list[str]:
         k = int(np.argmin(np.abs(spectrum.order - order)))
         size = f"{spectrum.after[k] / spectrum.noise[k]:.1f} times the expected noise"
         segment = cal.segments[index].label if index < len(cal.segments) else str(index)
-        words = BEAT if explained else "neither the noise nor whole counts explain it"
+        words = _BEAT if explained else "neither the noise nor whole counts explain it"
         lines.append(f"Line at order {order:.3g}, {size}, most in segment {segment}: {words}.")
     return lines
 

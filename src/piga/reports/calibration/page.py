@@ -10,12 +10,10 @@ from pathlib import Path
 
 from piga.errors import CalibrationError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import TYPE_A_ONLY
-from piga.records.calibration.verdict import Verdict
+from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.terms import integral_unit, shown_output, shown_unit
 from piga.reports.calibration import tables
 from piga.reports.calibration.figures import (
-    BEAT,
     calibration_figures,
     elapsed_time,
     figures_of,
@@ -83,10 +81,8 @@ def brief(cal: Calibration) -> Page:
 def page(cal: Calibration) -> Page:
     """The report of a calibration."""
     shown = {} if cal.given else calibration_figures(cal)
-    lines = shown["orders"].notes[:-1] if "orders" in shown else ()
     return replace(
         _page(cal, _sections(cal, shown)),
-        judgement=tables.judgement(cal, verdict=_with_lines(cal.verdict, lines)),
         kicker=f"piga · {'' if cal.direct else 'gyro '}accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
         segments=tables.selectable_segments(cal),
@@ -96,15 +92,6 @@ def page(cal: Calibration) -> Page:
 def _page(cal: Calibration, shown: tuple[Section, ...]) -> Page:
     title = f"Calibration of {cal.serial or 'an instrument'}"
     return Page(title, _subtitle(cal), _tiles(cal), shown, judgement=tables.judgement(cal))
-
-
-def _with_lines(verdict: Verdict, lines: tuple[str, ...]) -> Verdict:
-    """The verdict with the lines of the order spectrum: a line moves no coefficient but by the scatter, or as a missing term."""
-    see = ": see the figure of revolution orders; a harmonic term, the encoder or a bearing may make it"
-    said = tuple(
-        f"{line[0].lower()}{line[1:].removesuffix('.')}{'' if BEAT in line else see}" for line in lines
-    )
-    return replace(verdict, tested=verdict.tested + said)
 
 
 def _subtitle(cal: Calibration) -> str:
@@ -250,7 +237,7 @@ def _budget(cal: Calibration) -> Section:
             "coefficient for one unit. Add them to [uncertainty] in the run file, or waive them there with a reason."
         )
     elif cal.type_a_only:
-        warning = f"{TYPE_A_ONLY}. Add an [uncertainty] table to the run file."
+        warning = f"{tables.sentence(NO_REFERENCE)}. Add an [uncertainty] table to the run file."
     content: tuple[Content, ...] = (
         lead,
         *tables.budget_tables(cal),

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import TYPE_A_ONLY, Amount, BudgetEntry, Coefficient
+from piga.records.calibration.coefficient import NO_REFERENCE, Amount, BudgetEntry, Coefficient
 from piga.records.calibration.diagnostics import Quality
-from piga.records.calibration.verdict import Grade, Verdict
+from piga.records.calibration.verdict import Grade
 from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
 from piga.reports.render.numbers import Rounded, count, fixed, pretty_unit, relative, rounded, short, signed
 from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone, named_values
@@ -33,12 +33,9 @@ TONES: dict[Grade, Tone] = {"clear": "good", "doubt": "doubtful", "do not use": 
 """Tone of each grade of a verdict."""
 
 
-def judgement(cal: Calibration, subject: str = "", verdict: Verdict | None = None) -> Judgement:
-    """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else.
-
-    ``verdict`` is taken in place of the calibration's own.
-    """
-    verdict = verdict or cal.verdict
+def judgement(cal: Calibration, subject: str = "") -> Judgement:
+    """The verdict on a calibration as the box of a page. ``subject`` names the calibration on pages about something else."""
+    verdict = cal.verdict
     remedy = verdict.doubts[0].remedy if verdict.doubts else ""
     problems = tuple((sentence(doubt.what), doubt.remedy) for doubt in verdict.doubts[1:])
     headline = f"{subject}{verdict.headline}"
@@ -143,7 +140,7 @@ def _coefficient_notes(cal: Calibration) -> tuple[str, ...]:
         f"u: standard uncertainty. {wide}: for 95 % coverage, {basis}. The unit g is 9.80665 m/s² exactly."
     ]
     if cal.type_a_only:
-        notes.insert(0, f"{TYPE_A_ONLY}.")
+        notes.insert(0, sentence(f"{NO_REFERENCE}."))
     for c in common_coefficients(cal):
         if c.name == "tan_beta":
             beta = rounded(math.atan(c.value) / ARCSEC, c.std / ARCSEC / (1.0 + c.value**2))
