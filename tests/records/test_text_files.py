@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -82,6 +83,33 @@ def test_data_files(tmp_path: Path, ending: str, kind: str) -> None:
     run = write_run(tmp_path, path.name)
     error = within(5.0, lambda: piga.read_run(run))
     assert isinstance(error, PigaError)
+
+
+RACE = """
+import sys, threading, types
+from pathlib import Path
+from piga.records import run_file
+from piga.records.text_files import convert_toml
+
+sys.setswitchinterval(1e-6)
+source = Path(run_file.__file__).read_text()
+table = {"instrument": {"serial": "a", "scale_factor": "1 rad/s/g"}, "data": {"file": "x", "output": {"column": "a"}}}
+table["data"]["output"]["kind"] = "counts"
+for turn in range(10):
+    module = sys.modules[f"m{turn}"] = types.ModuleType(f"m{turn}")
+    exec(source, vars(module))
+    start = threading.Barrier(8)
+    work = lambda: (start.wait(), convert_toml(Path("x"), table, module.RunFile))
+    threads = [threading.Thread(target=work) for _ in range(8)]
+    [thread.start() for thread in threads]
+    [thread.join() for thread in threads]
+"""
+"""Threads that use the tables of a run file for the first time, all at the same time."""
+
+
+def test_threads_that_meet_a_type_for_the_first_time() -> None:
+    """Outside this process: where msgspec is called without a lock, the interpreter crashes."""
+    subprocess.run([sys.executable, "-c", RACE], check=True, timeout=60.0)
 
 
 def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ from piga.records.calibration.coefficient import Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_name, harmonic, turns
-from piga.records.text_files import JsonError, json_object, read_whole
+from piga.records.text_files import JsonError, converted, json_object, read_whole
 from piga.results import Array, Result
 from piga.terms import LOGGED_TERMS, TERMS
 from piga.threads import one_thread
@@ -152,7 +152,7 @@ class RunSummary(RunTriangles, Result):
                     remedy="name a run file (.toml), or a summary that --summary wrote",
                 )
             _restore(document)
-            summary = msgspec.convert(document, RunSummary, dec_hook=_array)
+            summary = converted(document, RunSummary, _array)
         except (JsonError, msgspec.ValidationError) as error:
             raise CalibrationError(
                 f"{path}: not a valid run summary: {error}", remedy="summarise the run again"

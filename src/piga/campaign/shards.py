@@ -26,6 +26,7 @@ from piga.campaign.campaign_file import CampaignPlan, Count, plan_of, read_campa
 from piga.campaign.subjects import compute
 from piga.errors import DataError, PigaError
 from piga.output import write_whole
+from piga.records.text_files import converted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -116,7 +117,7 @@ def open_campaign(folder: str | Path) -> Campaign:
     folder = Path(folder)
     path = folder / MANIFEST
     try:
-        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+        manifest = converted(msgspec.json.decode(path.read_bytes()), Manifest)
     except FileNotFoundError:
         raise PigaError(
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"

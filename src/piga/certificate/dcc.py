@@ -38,6 +38,7 @@ from piga.errors import DataError, PigaWarning
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import PROBABILITY, Coefficient, joint_factor
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
+from piga.records.text_files import converted
 from piga.units import parse_unit
 
 if TYPE_CHECKING:
@@ -209,7 +210,7 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
         _compare_results(root, calibration, path)
         return calibration
     try:
-        file = msgspec.json.decode(data, type=CertificateFile)
+        file = converted(msgspec.json.decode(data), CertificateFile)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise DataError(
             f"{path}: the attached data of the certificate are damaged ({error})", remedy=_AGAIN

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +25,7 @@ from piga.noise.deviations import (
 )
 from piga.records.run import examine_time
 from piga.records.run_file import DataTable
+from piga.records.text_files import converted
 from piga.results import Array, Plotted, Reported, Result
 from piga.upper import doors
 
@@ -251,7 +251,7 @@ def read_static_log(
         raise DataError(
             f"{path}: no column holds the time", remedy="give the rate of the samples: --sample-rate"
         )
-    table = msgspec.convert(layout | {"output": {"column": column, "kind": "counts"}}, DataTable)
+    table = converted(layout | {"output": {"column": column, "kind": "counts"}}, DataTable)
     values, t, digests = read_series(path.parent, table, (column,))
     shown = unit or ("" if guess.unwritten else guess.unit) or "1"
     return analyse_noise(

@@ -13,10 +13,11 @@ import re
 import stat
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar, get_args
 
 import msgspec
@@ -195,10 +196,22 @@ def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
     return convert_toml(path, toml_document(path, raw), kind)
 
 
+_ONE_AT_A_TIME = Lock()
+
+
+def converted(value: object, kind: type[T], dec_hook: Callable[[type, Any], Any] | None = None) -> T:
+    """:func:`msgspec.convert` of a table or a record, by one thread at a time.
+
+    Two threads that use a type for the first time at the same time would crash the interpreter.
+    """
+    with _ONE_AT_A_TIME:
+        return msgspec.convert(value, kind, dec_hook=dec_hook)
+
+
 def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
     """Convert the tables of a TOML file into ``kind``. ``path`` is named in messages."""
     try:
-        return msgspec.convert(document, kind)
+        return converted(document, kind)
     except msgspec.ValidationError as error:
         text, remedy = explained(str(error), kind, document)
         raise RunFileError(f"{path}: {text}", remedy=remedy) from None
@@ -208,7 +221,7 @@ def convert_table(name: str, table: object, kind: Any) -> Any:
     """Convert one table, called ``name`` in messages, into ``kind``."""
     holder = msgspec.defstruct("Tables", [(name, kind)])
     try:
-        return getattr(msgspec.convert({name: table}, holder), name)
+        return getattr(converted({name: table}, holder), name)
     except msgspec.ValidationError as error:
         text, remedy = explained(str(error), holder, {name: table})
         raise ArgumentError(text, remedy=remedy) from None

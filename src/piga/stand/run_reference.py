@@ -40,7 +40,7 @@ from piga.records.run_file import (
     standard_uncertainty,
 )
 from piga.records.terms import GYRO
-from piga.records.text_files import convert_table, explained
+from piga.records.text_files import convert_table, converted, explained
 from piga.results import Array, Result
 from piga.stand.profile import GENERAL, NONE, Imperfections, Segment, Stand, force_change, imperfections
 from piga.stand.scenario import CompositeTable, SimpleStand
@@ -297,7 +297,7 @@ def run_from_table(
     remedies = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
     try:
         _add_units(data, unit, units, () if si else names)
-        run_file = msgspec.convert(described, RunFile)
+        run_file = converted(described, RunFile)
         check_run_file(run_file)
         columns = run_file.data.number_columns(), run_file.data.label_column
         stream = TableStream(WHERE, arrow, *columns, remedies)

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
-from piga.records.text_files import JsonError, check_label, json_object, open_regular
+from piga.records.text_files import JsonError, check_label, converted, json_object, open_regular
 from piga.results import Result
 
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
@@ -161,7 +161,7 @@ def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = 
                 f"{what}: schema '{written}', '{schema}' is needed",
                 remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
             )
-        return msgspec.convert(document, kind)
+        return converted(document, kind)
     except (
         msgspec.DecodeError,
         msgspec.ValidationError,

@@ -25,7 +25,7 @@ from piga.records.calibration.coefficient import Amount, BudgetEntry, Coefficien
 from piga.records.calibration.diagnostics import Quality
 from piga.records.run_file import Method, Phases, PhaseSource, check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of
-from piga.records.text_files import JsonError, check_label, json_object, read_whole
+from piga.records.text_files import JsonError, check_label, converted, json_object, read_whole
 from piga.units import conversion_factor, from_si, numbers_are_si, parse_unit, to_si
 
 SCHEMA = "piga.calibration/1"
@@ -188,7 +188,7 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         schema = str(plain.get("schema"))
         if schema == SCHEMA:
             _upgrade(plain)
-            return _calibration(msgspec.convert(plain, _DOCUMENT))
+            return _calibration(converted(plain, _DOCUMENT))
         message = f"is not a calibration record (it lacks the schema '{SCHEMA}')"
         remedy = "name a calibration.json"
         if schema.startswith("piga.calibration/"):
