@@ -42,6 +42,9 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
 def test_recursive_is_a_former_name() -> None:
     run = record(np.random.default_rng(12), **NOISES["mixed"])
     former = piga.calibrate(run, TERMS, "recursive")
+    with pytest.raises(piga.ArgumentError) as refused:
+        piga.calibrate(run, TERMS, "magic")
+    assert refused.value.remedy == "one of: information, rate, revolutions"
     assert former.coefficients == piga.calibrate(run, TERMS).coefficients
     assert former.method == "information"
 

@@ -64,6 +64,16 @@ def test_calibrate_writes_page_and_json(folder, capsys):
     assert json.loads(out)["terms"] == document["terms"]
 
 
+@pytest.mark.parametrize(
+    "command", [("check",), ("records", "add", "--operator", "A", "--reason", "B", "--store", "a.sqlite")]
+)
+def test_other_commands_say_that_it_is_a_set(folder, capsys, command):
+    code, _, err = outcome(capsys, *command, folder / "set.toml")
+    assert code == 2
+    assert "the run file of a set of accelerometers" in err
+    assert "remedy: give it to 'piga calibrate'" in err
+
+
 def test_refusals(folder, capsys):
     assert is_set_file(folder / "set.toml")
     code, _, err = outcome(capsys, "calibrate", folder / "set.toml", "--terms", "k0")

@@ -13,7 +13,7 @@ import piga
 import piga.calibration.calibrate as estimator
 from piga.errors import PigaError
 from piga.ledger import compare_calibrations, evidence, prepare_run, reproduce
-from piga.ledger.evidence import input_files
+from piga.ledger.evidence import difference, input_files
 from piga.ledger.store.transfer import verify
 from piga.stand.run_reference import _check_unchanged
 from tests.records.files import write_log, write_run
@@ -87,10 +87,14 @@ def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
         assert store.read(record.id, "calibration") == (tmp_path / "out" / "calibration.json").read_bytes()
         assert record.document.request["method"] == "rate"
         assert reproduce(store, record.id).verdict == "identical"
+        computed = prepare_run(run, "A", "computed", report=False).keep(store)
+        compared = difference(store, record.id, computed.id)
+        assert not any(name.startswith("software ") for name in compared["facts"])
+        assert f"{record.id}: made from results: of its software only piga itself is known" in compared["notes"]
         (tmp_path / "run.csv").write_text((tmp_path / "run.csv").read_text() + "9,1,1,1,1,1\n")
         with pytest.raises(PigaError, match="is not the file that the calibration was computed from"):
             prepare_run(run, "A", "changed", results=tmp_path / "out").keep(store)
-        assert store.head().number == 1
+        assert store.head().number == 2
 
 
 def test_results_of_two_runs_are_never_kept_together(tmp_path: Path) -> None:

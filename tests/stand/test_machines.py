@@ -93,7 +93,7 @@ def test_table_says_what_the_lab_assumes_and_what_is_felt():
     assert fine.t.size == 4 * (profile.t.size - 1) + 1 + 3
     with pytest.raises(ArgumentError, match="not a multiple"):
         sample_stand(HEAD, 0.7)
-    with pytest.raises(ArgumentError, match="'arm_radius' does not exist on a dividing-head"):
+    with pytest.raises(ArgumentError, match=r"\[imperfections\] arm_radius does not exist on a dividing-head"):
         sample_stand(HEAD, 1.0, errors=Imperfections(arm_radius=1e-3))
 
 

@@ -88,7 +88,9 @@ def test_stand_entries_need_a_stand_and_one_that_has_them(tmp_path: Path) -> Non
     with pytest.raises(piga.RunFileError, match="levelling: belongs to a stand"):
         piga.read_run(alone)
     wrong = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\narm_radius = "1 um"\n'))
-    with pytest.raises(piga.RunFileError, match="'arm_radius' does not exist on a dividing-head"):
+    with pytest.raises(
+        piga.RunFileError, match=r"\[uncertainty\] arm_radius does not exist on a dividing-head"
+    ):
         list(stand_changes(wrong))
     unit = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\nangle_error = "1 um"\n'))
     with pytest.raises(piga.RunFileError, match=r"angle_error.*'1 um'"):

@@ -26,6 +26,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
     "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
     "platform": ("platform scenario", "piga.platform.scenario", "ScenarioFile"),
+    "campaign": ("campaign file", "piga.campaign.campaign_file", "CampaignFile"),
     "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
     "set": ("run file of a set", "piga.gravity_norm.set_file", "SetFile"),
     "triad": ("triad file", "piga.compensation.files", "TriadFile"),

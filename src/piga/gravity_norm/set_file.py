@@ -24,11 +24,9 @@ from piga.records.run_file import (
     TimeColumn,
     TomlTable,
     in_unit,
+    is_set,
 )
 from piga.records.text_files import read_toml, toml_bytes, toml_document
-
-_MARK = "gravity-norm"
-"""Value of ``[data] reference`` that makes a run file one of a set."""
 
 
 class SetInstrument(TomlTable, frozen=True):
@@ -85,10 +83,7 @@ class SetFile(TomlTable, frozen=True):
 
 def is_set_file(path: Path) -> bool:
     """Whether a run file is one of a set: its ``[data] reference`` is ``"gravity-norm"``."""
-    if path.suffix != ".toml":
-        return False
-    data = toml_document(path).get("data")
-    return isinstance(data, dict) and data.get("reference") == _MARK
+    return path.suffix == ".toml" and is_set(toml_document(path))
 
 
 def calibrate_set_file(path: str | Path) -> SetCalibration:

@@ -311,16 +311,18 @@ def difference(store: Store, first: str | int, second: str | int) -> dict[str, A
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
     old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
     then, now = _facts_of(a), _facts_of(b)
+    notes = [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only]
+    brief = [record.id for record in (a, b) if "python" not in record.document.software]
+    notes += [f"{name}: made from results: of its software only piga itself is known" for name in brief]
+    names = dict.fromkeys((*then, *now))
+    if brief:
+        names = {n: None for n in names if n == "software piga" or not n.startswith("software ")}
     return {
         "first": a.id,
         "second": b.id,
         "coefficients": [_change(key, old.get(key), new.get(key)) for key in dict.fromkeys((*old, *new))],
-        "facts": {
-            name: (then.get(name), now.get(name))
-            for name in dict.fromkeys((*then, *now))
-            if then.get(name) != now.get(name)
-        },
-        "notes": [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only],
+        "facts": {name: (then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)},
+        "notes": notes,
     }
 
 

@@ -18,7 +18,7 @@ import msgspec
 from piga.errors import DataError, RunFileError, UnitError
 from piga.output import check_results
 from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
-from piga.records.text_files import check_label, read_toml, si_unit
+from piga.records.text_files import check_label, convert_toml, si_unit, toml_document
 from piga.units import conversion_factor, parse_unit, to_si
 
 Quantity = str | float | int
@@ -127,7 +127,7 @@ HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
-Method = Literal["information", "rate", "recursive", "revolutions"]
+Method = Literal["information", "rate", "revolutions"]
 
 PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)
 METHOD_WORDS: dict[str, tuple[str, str]] = {
@@ -144,7 +144,7 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
         "to compare with older records; needs whole turns in each position",
     ),
 }
-"""What each method is, and when to use it. ``recursive`` of former files is the information method."""
+"""What each method is, and when to use it."""
 
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -460,6 +460,16 @@ def drawn_for(name: str) -> Draw:
     return REPEATED[name][1] if name in REPEATED else "reference"
 
 
+GRAVITY_NORM = "gravity-norm"
+"""Value of ``[data] reference`` in the run file of a set of accelerometers: the size of gravity is its reference."""
+
+
+def is_set(document: dict[str, Any]) -> bool:
+    """True for the tables of a run file of a set."""
+    data = document.get("data")
+    return isinstance(data, dict) and data.get("reference") == GRAVITY_NORM
+
+
 def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     """Read and check a run file. ``raw``: its bytes, if they were read before.
 
@@ -470,7 +480,11 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     """
     path = Path(path)
     check_results(path.parent)
-    run_file = read_toml(path, RunFile, raw)
+    document = toml_document(path, raw)
+    if is_set(document):
+        words = f"{path}: the run file of a set of accelerometers ([data] reference = '{GRAVITY_NORM}')"
+        raise RunFileError(words, remedy="give it to 'piga calibrate'; only that command takes a set")
+    run_file = convert_toml(path, document, RunFile)
     try:
         check_run_file(run_file)
     except (DataError, UnitError, RunFileError) as error:

@@ -43,6 +43,8 @@ _KINDS = {
     "truth": "a scenario: 'piga simulate' makes a run file of it",
     "polar": "a platform scenario: give it to 'piga platform'",
     "laboratory": "what a certificate says: give it to 'piga certificate' as --data",
+    "campaign": "a campaign: give it to 'piga campaign plan'",
+    "triad": "a set of calibrated instruments: give it to 'piga compensate'",
     "data": "a run file: give it to 'piga check' or 'piga calibrate'",
 }
 """Top-level tables that identify a kind of file, and the command that takes it. The first match is used."""
@@ -134,6 +136,9 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
     model, run = document.get("model"), document.get("run")
     if isinstance(model, dict) and "phase" in model:  # the name of phases until 0.1
         model.setdefault("phases", model.pop("phase"))
+    estimation = document.get("estimation")
+    if isinstance(estimation, dict) and estimation.get("method") == "recursive":  # a former name
+        estimation["method"] = "information"
     if isinstance(run, dict) and "earth_tide" in run:
         remedy = "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
         raise RunFileError(f"{path}: [run] earth_tide is not simulated any more", remedy=remedy)

@@ -71,8 +71,8 @@ class Imperfections:
         names = [entry.name for entry in fields(self) if np.any(np.asarray(getattr(self, entry.name)))]
         return [name for name in names if name not in (*GENERAL, *accepted)]
 
-    def require(self, accepted: Iterable[str], stand: str) -> None:
-        """Refuse imperfections that ``stand`` does not have.
+    def require(self, accepted: Iterable[str], stand: str, where: str = "[imperfections]") -> None:
+        """Refuse errors that ``stand`` does not have. ``where`` is the table that states them.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Imperfections:
         """
         for name in self._foreign(accepted):
             raise ArgumentError(
-                f"imperfection '{name}' does not exist on a {stand}",
+                f"{where} {name} does not exist on a {stand}",
                 remedy=f"it has: {', '.join((*GENERAL, *sorted(accepted)))}",
             )
 

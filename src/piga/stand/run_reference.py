@@ -143,7 +143,7 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
             standard, shape = _standard(name, error, written)
             for suffix, value, part in _components(error, standard):
                 errors = imperfections({error: part}, where="[uncertainty]")
-                errors.require(stand.accepted, stand.kind)
+                errors.require(stand.accepted, stand.kind, "[uncertainty]")
                 change = partial(_change, stand, t, errors)
                 yield StandChange(f"{name}{suffix}", str(value), change, *shape, drawn_for(name))
     except PigaError as error_:

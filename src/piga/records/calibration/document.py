@@ -92,7 +92,7 @@ def _document_type() -> Any:
         "condition": kinds["condition"] | None,
         "phases": Phases,
         "phase_source": PhaseSource,
-        "method": Method | Literal["published"],
+        "method": Method | Literal["published", "recursive"],
     }
     sections: dict[str, list[Any]] = defaultdict(list)
     for field in fields(Calibration):
