@@ -26,6 +26,7 @@ from piga.errors import ArgumentError, DataError, PigaError, RunFileError, Where
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
+Converted = TypeVar("Converted")
 
 _MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
@@ -204,7 +205,9 @@ def read_toml(path: Path, kind: type[T], raw: bytes | None = None) -> T:
 _ONE_AT_A_TIME = Lock()
 
 
-def converted(value: object, kind: type[T], dec_hook: Callable[[type, Any], Any] | None = None) -> T:
+def converted(
+    value: object, kind: type[Converted], dec_hook: Callable[[type, Any], Any] | None = None
+) -> Converted:
     """:func:`msgspec.convert` of a table or a record, by one thread at a time.
 
     Two threads that use a type for the first time at the same time would crash the interpreter.
