@@ -149,6 +149,8 @@ def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(PigaError, match=r"file: is a file"):
         fill(tmp_path / "file", "x")
+    with pytest.raises(PigaError, match=r"file/out: results cannot be written there"):
+        fill(tmp_path / "file" / "out", "x")
 
 
 @pytest.mark.parametrize("at", range(3))

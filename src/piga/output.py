@@ -202,12 +202,19 @@ def results(
     """
     folder = _free_folder(folder, command, names, inputs, force=force)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(OSError), _locked(folder.parent):  # a folder that cannot be listed
-            _remove_leftovers(folder.parent)
-        with _hidden_folder(folder if folder.is_dir() else folder.parent) as hidden:
-            stage = hidden / "results"
-            stage.mkdir()
+        with ExitStack() as stack:
+            try:
+                folder.parent.mkdir(parents=True, exist_ok=True)
+                with suppress(OSError), _locked(folder.parent):  # a folder that cannot be listed
+                    _remove_leftovers(folder.parent)
+                home = folder if folder.is_dir() else folder.parent
+                stage = stack.enter_context(_hidden_folder(home)) / "results"
+                stage.mkdir()
+            except OSError as error:
+                raise ArgumentError(
+                    f"{folder}: results cannot be written there ({error.strerror})",
+                    remedy="choose another folder",
+                ) from None
             yield stage, folder
             mark = _finish(stage, command, _key(command, inputs))
             if folder.is_dir():

@@ -138,10 +138,12 @@ def test_a_run_file_that_was_changed_stays(log: Path) -> None:
 @pytest.mark.parametrize(("setting", "words"), [
     ("scale", "is not table.key=value"),
     ("instrument.scale_factor=0.8884 kg", "is given in 'kg'"),
-    ("data.sheep=3", "has the unknown key 'sheep'"),
+    ("data.sheep=3", "the nearest keys: data.sheet, data.settle"),
+    ("stand.hight=3 m", "--set stand.hight: a run file has no such key\n  remedy: the nearest keys: stand.height"),
+    ("foo.bar=3", "the nearest keys: instrument, data, model, estimation, uncertainty, stand"),
     ("instrument.scale_factor=-1 rad/s/g", "must be positive"),
     ("data.output=counter", "[data.output]: expected a table { ... }, got text"),
-    ("model.phase=x", "[model.phases]: 'x' is not one of the allowed values"),
+    ("model.phases=x", "[model.phases]: 'x' is not one of the allowed values"),
 ])  # fmt: skip
 def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> None:
     _, _, message = run("init", log, "--set", SCALE, "--set", setting)

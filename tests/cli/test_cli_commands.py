@@ -73,6 +73,14 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
         (["calibrate", "run.toml", "--phases", "loose"], "phases: 'loose' is not known"),
         (["calibrate", "run.toml", "--terms", "scale_factor,k0,k2,k3,k2o"], "this record"),
         (["calibrate", "run.toml", "--out", "run.csv"], "run.csv: is a file"),
+        (["check", "/dev/null/run.toml"], "run.toml: cannot be read"),
+        (["check", "empty.toml"], "empty.toml: the file is empty"),
+        (["init", "run.csv", "--column", "n"], "--column n: is not name=kind"),
+        (["compensate", "run.toml", "--out", "o.csv"], "--calibration is missing"),
+        (["compensate", "run.toml", "--out", "o.csv", "--rate", "0 Hz"], "--rate 0 Hz: must be positive"),
+        (["compensate", "run.toml", "--identify-phase", "-1 s"], "--identify-phase -1 s: must be positive"),
+        (["compensate", "run.toml", "--max-age", "-1"], "Invalid value for '--max-age'"),
+        (["campaign", "status", "run.csv"], "run.csv: holds no campaign"),
         (["calibrate"], "Missing argument"),
         (["nonsense"], "No such command"),
         (["check", "run.csv"], "not valid TOML"),
@@ -90,11 +98,13 @@ def test_wrong_use_is_exit_2_with_one_message(
     message: str,
 ) -> None:
     small_run(tmp_path)
+    (tmp_path / "empty.toml").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
     assert exit_code(*arguments) == 2
     said = capsys.readouterr()
     assert message in said.err
+    assert "remedy: " in said.err or "Usage: piga" in said.err
     assert said.out == ""
 
 

@@ -118,7 +118,7 @@ def open_campaign(folder: str | Path) -> Campaign:
     path = folder / MANIFEST
     try:
         manifest = converted(msgspec.json.decode(path.read_bytes()), Manifest)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise PigaError(
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
         ) from None

@@ -177,7 +177,9 @@ def compensate(
     identify_phase: Annotated[str | None, option("TIME", "Phase from this time at rest, e.g. '60 s'.")] = None,
     rate: Annotated[str | None, option("RATE", "Output rate, e.g. '10 Hz'. No velocity is lost.")] = None,
     uncertainty: Annotated[bool, typer.Option(help="Write the column u_ax.")] = True,
-    max_age: Annotated[float | None, option("DAYS", "Flag all rows if the calibration is older.")] = None,
+    max_age: Annotated[
+        float | None, option("DAYS", "Flag all rows if the calibration is older.", min=0)
+    ] = None,
     other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
     as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
     force: ForceOption = False,
@@ -200,8 +202,8 @@ def compensate(
     calibrations = [one if as_run is None else one.for_run(as_run) for one, _ in read]
     sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
-    rest = None if identify_phase is None else to_si(identify_phase, "s", what="--identify-phase")
-    period = None if rate is None else 1.0 / to_si(rate, "Hz", what="--rate")
+    rest, hertz = _positive("--identify-phase", identify_phase, "s"), _positive("--rate", rate, "Hz")
+    period = None if hertz is None else 1.0 / hertz
     live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
     options = {"identify_phase": rest, "phase": given, "rate": period, "report": report, "as_run": as_run}
     _refuse("a live stream" if live else "several instruments" if several else "", options)
@@ -254,6 +256,16 @@ def compensate(
         note(line)
 
 
+def _positive(name: str, text: str | None, unit: str) -> float | None:
+    """The SI value of an option that is larger than 0; None if it is not given."""
+    from piga.units import to_si
+
+    value = None if text is None else to_si(text, unit, what=name)
+    if value is not None and value <= 0.0:
+        raise ArgumentError(f"{name} {text}: must be positive", remedy="leave it out, or give more than 0")
+    return value
+
+
 def _notes(document: dict[str, Any]) -> Iterator[str]:
     """What a user must know of a compensation: flags, repairs, notes, and doubts about the calibrations."""
     yield from (f"{name}: {counted(count, 'row')}" for name, count in document["flags"].items())
@@ -287,8 +299,10 @@ def _refuse(where: str, options: Mapping[str, object]) -> None:
 
 def _one(calibrations: list[Calibration]) -> Calibration:
     if len(calibrations) != 1:
+        given = f"is given {len(calibrations)} times" if calibrations else "is missing"
         raise ArgumentError(
-            f"--calibration is given {len(calibrations)} times", remedy="one is needed for one run"
+            f"--calibration {given}",
+            remedy="name the one calibration of the run: --calibration CALIBRATION.json",
         )
     return calibrations[0]
 

@@ -64,7 +64,7 @@ def init(
     with deliver_file(chosen, "init", [log], force=force, as_json=as_json) as to:
         target = (to.folder or chosen.parent) / chosen.name
         given = dict(setting(text) for text in settings or [])
-        kinds = {name: kind for name, _, kind in (text.rpartition("=") for text in columns or [])}
+        kinds = dict(map(_told, columns or []))
         with progress(f"reading {log.name}"):
             described = describe_log(log, kinds)
         draft = draft_run_file(described, given, folder=target.parent)
@@ -79,6 +79,13 @@ def init(
         lines += [line for notes in draft.comments.values() for line in notes if line.startswith("CHECK")]
         write_text(to / target.name, draft.text())
         to.tell(lambda: _document(described, draft, target), lambda: "\n".join([*lines, *end]))
+
+
+def _told(text: str) -> tuple[str, str]:
+    name, _, kind = text.rpartition("=")
+    if not name:
+        raise ArgumentError(f"--column {text}: is not name=kind", remedy="e.g. --column 'CH3=angle [deg]'")
+    return name, kind
 
 
 def _column_lines(described: LogDescription) -> Iterator[str]:

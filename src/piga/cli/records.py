@@ -165,10 +165,15 @@ def add(
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
     from piga.ledger import prepare_run
     from piga.ledger.store.database import is_url
+    from piga.ledger.store.documents import checked_text
     from piga.records.run_file import read_run_file
 
+    # what is wrong with the words and the store is said before the work
+    checked_text("--operator", operator)
+    checked_text("--reason", reason)
+    if measured is not None:
+        day_in(measured, "--measured")
     if supersedes is not None or is_url(store) or Path(store).exists():
-        # what is wrong with the store is said before the work
         with opened(store, create=supersedes is None) as kept:
             if supersedes is not None:
                 supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
@@ -257,11 +262,15 @@ def verify(
     If something is wrong it says what, and exits with 2.
     """
     from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.ledger.store.database import is_url
     from piga.ledger.store.transfer import verify as check
+    from piga.records.text_files import open_regular
 
     where = str(archive) if archive is not None else store
     if where is None:
         raise PigaError("nothing to verify", remedy="name an export, or give --store")
+    if not is_url(where):
+        open_regular(Path(where), "a store, an export or a backup").close()
     with progress("verifying") as show:
         v = check(where, head or (), show)
     names = ("sound", "records", "files", "head", "known", "problems")
@@ -276,6 +285,10 @@ def verify(
     if not v.sound:
         for problem in [] if as_json else v.problems:
             note(f"piga: {problem}")
+        if not as_json:
+            note(
+                "  remedy: keep it as it is; use another copy, or make a store of a backup: piga records restore"
+            )
         raise typer.Exit(2)
 
 
@@ -309,9 +322,9 @@ def import_export(
 
     Appends all of them, verified, or none.
     """
-    from piga.ledger.store.transfer import import_records
+    from piga.ledger.store.transfer import Export, import_records
 
-    with opened(store, create=True) as kept, progress("importing"):
+    with Export(archive), opened(store, create=True) as kept, progress("importing"):
         added = import_records(kept, archive, operator, reason)
         head = kept.head()
     document = {"added": added, "records": head.number}

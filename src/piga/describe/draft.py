@@ -5,6 +5,7 @@ The meaning of the keys is in one table: ``piga/data/keys.txt``.
 
 from __future__ import annotations
 
+import difflib
 import json
 import re
 import tomllib
@@ -299,10 +300,25 @@ def setting(text: str) -> tuple[str, Any]:
             f"--set {text}: is not table.key=value",
             remedy="e.g. --set instrument.scale_factor='0.8884 rad/s/g'",
         )
+    _check_key(key)
     try:
         return key, tomllib.loads(f"value = {written.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         return key, written.strip()
+
+
+def _check_key(key: str) -> None:
+    """Refuse a key that no run file has. The tables of a stand are those of a scenario."""
+    stand = [place for place in places_of("scenario") if place.path.startswith("stand")]
+    kinds = {place.path: place.kind for place in (*places_of("run"), *stand)} | {"stand.kind": "text"}
+    above = [kinds.get(key[: at.start()], "") for at in re.finditer(r"\.", key)]
+    if key in kinds or re.search(r"any value|each key|list", " ".join(above)):
+        return
+    beside = [path for path in kinds if path.rpartition(".")[0] == key.rpartition(".")[0]]
+    near = difflib.get_close_matches(key, kinds, n=4) or beside or [path for path in kinds if "." not in path]
+    raise ArgumentError(
+        f"--set {key}: a run file has no such key", remedy=f"the nearest keys: {', '.join(near)}"
+    )
 
 
 def number_in(text: Any) -> float:

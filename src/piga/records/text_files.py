@@ -222,6 +222,11 @@ def convert_toml(path: Path, document: dict[str, Any], kind: type[T]) -> T:
         return converted(document, kind)
     except msgspec.ValidationError as error:
         text, remedy = explained(str(error), kind, document)
+        if not document:
+            text, remedy = (
+                "the file is empty",
+                "name a file with content; 'piga examples' writes one of each kind",
+            )
         raise RunFileError(f"{path}: {text}", remedy=remedy) from None
 
 
