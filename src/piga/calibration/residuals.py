@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from piga.calibration.model.design import Design
 from piga.calibration.weights import Noise, Whitener, rate_share, residual_increments
 from piga.records.arrays import changes, largest_size, middles, stored
 from piga.records.calibration.diagnostics import Diagnostics, Residuals, SegmentScatter, SegmentSummary
-from piga.records.calibration.verdict import COUNTED, SLOW_COUNTS
+from piga.records.calibration.verdict import COUNTED
 from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
@@ -23,16 +23,9 @@ LAGS = 20
 """Lags of the portmanteau test."""
 _WHITE = 1e-3
 """Probability below which whitened residuals are called not white."""
-DRAWS = 32
-"""Simulated countings for the correlations of a coarsely counted record."""
-_BEAT = 0.05
-"""Largest distance of the counts per sample from a whole number at which the error of the counts changes slowly."""
-_DRAWN_ROWS = 1 << 16
-"""First rows of the record used for this simulation: 0.2 s of processor time."""
-
-
-Products = Callable[[], "Array | None"]
-"""Function that gives lagged products of one run: residuals, then each simulated counting (:func:`counted_products`)."""
+_ROUNDED = 1.0 / 3.0
+"""Variance of the noise in counts squared below which neighbouring readings may share their rounding: above it, what is left
+of the line of the rounding is below 1 % of a count, ``exp(-2 pi^2 (1/3 - 1/12))``."""
 
 
 def find_residuals(design: Design, values: Array, noise: Noise, mode: str) -> Residuals:
@@ -151,12 +144,11 @@ def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> Segme
     )
 
 
-def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Products, ...]) -> Diagnostics:
+def diagnose(innovations: Sequence[Array], plain: Diagnostics, *, rounded: bool) -> Diagnostics:
     """``plain`` with tests of the whitened residuals of all runs: variance, lag-1 correlation, portmanteau, shape.
 
     ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are
-    0 for normal residuals. If the test fails and ``runs`` are counted, ``counting_probability`` is the probability that
-    counting alone gives correlations as large.
+    0 for normal residuals. ``rounded``: rounding to whole counts may correlate them; a test that fails then says nothing.
     """
     from scipy.special import gammaincc
 
@@ -174,7 +166,6 @@ def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Produ
     statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
     probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
     white = probability > _WHITE
-    counting = math.nan if white else counting_probability(runs)
     return replace(
         plain,
         samples=n,
@@ -183,15 +174,19 @@ def diagnose(innovations: Sequence[Array], plain: Diagnostics, runs: tuple[Produ
         ljung_box=statistic,
         ljung_box_lags=lags,
         ljung_box_probability=probability,
-        counting_probability=None if math.isnan(counting) else counting,
         skewness=sums[1] / n / variance**1.5,
         excess_kurtosis=sums[2] / n / variance**2 - 3.0,
         verdict="white"
         if white
         else COUNTED
-        if counting > _WHITE
+        if rounded
         else "not white: the model or the noise description is incomplete",
     )
+
+
+def is_rounded(run: Run, noise: Noise) -> bool:
+    """True if the noise of the readings is so small that their rounding to whole counts may correlate."""
+    return run.kind != "rate" and noise.white + noise.walk * run.median_step < _ROUNDED * count_of(run) ** 2
 
 
 def count_of(run: Run) -> float:
@@ -209,76 +204,6 @@ def count_of(run: Run) -> float:
     count = float(np.diff(np.unique(np.concatenate(([0.0], different)))).min())
     turns = steps / count
     return count if np.abs(turns - np.round(turns)).max() < 1e-3 else 0.0
-
-
-def with_slow_counts(tests: Diagnostics, run: Run) -> Diagnostics:
-    """The tests; if they failed, and a third of the segments turn by nearly whole counts in each sample, the verdict says so."""
-    count = count_of(run)
-    if count == 0.0 or tests.verdict in (None, "white", COUNTED):
-        return tests
-    formed = ~run.begins[1:]
-    size = np.bincount(run.segment_index[1:][formed], minlength=len(run.labels))
-    turned = np.bincount(run.segment_index[1:][formed], np.diff(run.output)[formed] / count, len(run.labels))
-    steps = turned[size > 0] / size[size > 0]
-    slow = np.abs(steps - np.round(steps)) < _BEAT
-    return replace(tests, verdict=SLOW_COUNTS) if 3 * np.count_nonzero(slow) >= slow.size else tests
-
-
-def counted_products(design: Design, noise: Noise, mode: str, residuals: Residuals) -> Array | None:
-    """Lagged products (1 + draws, lags + 1) of the whitened residuals and of simulated countings; None without counts.
-
-    A draw starts the path of the fit at a random place within a count in every stretch. It adds the noise without counting
-    noise, rounds to whole counts and whitens as for the record. At a constant rate the output turns by the same
-    fraction of a count from sample to sample; the counting error then has spectral lines.
-    """
-    run, count = design.run, count_of(design.run)
-    if count == 0.0 or mode != "increments":
-        return None
-    size = min(run.size, _DRAWN_ROWS)
-    h = np.zeros(size)
-    for block in design.blocks():
-        if block.start >= size:
-            break
-        h[block.start : min(block.stop, size)] = block.h[: size - block.start]
-    begins = np.asarray(run.begins[:size])
-    stretch = np.cumsum(begins) - begins[0]
-    path = np.asarray(run.output[:size]) - residuals.after[:size]
-    innovation = np.asarray(residuals.innovation[:size])
-    formed = innovation != 0.0
-    rng = np.random.default_rng(0)
-    besides = math.sqrt(max(noise.white - count**2 / 12.0, 0.0))
-    rows = [innovation]
-    for _ in range(DRAWS):
-        place = rng.uniform(0.0, count, int(stretch[-1]) + 1)[stretch]
-        walk = np.cumsum(np.sqrt(max(noise.walk, 0.0) * np.where(h > 0.0, h, 0.0)) * rng.standard_normal(size))
-        noisy = path + place + walk + besides * rng.standard_normal(size)
-        error = count * np.round(noisy / count) - place - path
-        increments = np.diff(error, prepend=error[0])
-        increments[h <= 0.0] = 0.0
-        rows.append(Whitener(mode, noise, 1, run.median_step).column(increments, h))
-    return np.array([lagged_products(row[formed] - row[formed].mean(), LAGS) for row in rows])
-
-
-def counting_probability(runs: tuple[Products, ...]) -> float:
-    """Probability that counting alone gives correlations as large; nan if a run is not counted.
-
-    The squared distance to the mean of the draws is compared with a chi-square distribution. Its mean and variance
-    are those of the distances between each draw and the others.
-    """
-    from scipy.special import gammaincc
-
-    products = [product() for product in runs]
-    counted = [product for product in products if product is not None]
-    if not counted or len(counted) < len(products):
-        return math.nan
-    total = np.sum(counted, axis=0)
-    correlation = total[:, 1:] / total[:, :1]
-    data, draws = correlation[0], correlation[1:]
-    others = (draws.sum(axis=0) - draws) / (DRAWS - 1)
-    own = np.sum((draws - others) ** 2, axis=1)
-    distance = float(np.sum((data - draws.mean(axis=0)) ** 2))
-    middle, spread = float(own.mean()), float(own.var(ddof=1))
-    return float(gammaincc(middle**2 / spread, distance * middle / spread))
 
 
 def lagged_products(x: Array, lags: int) -> Array:

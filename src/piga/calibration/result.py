@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import accumulate
 from typing import Any, Literal
 
@@ -26,13 +25,11 @@ from piga.calibration.remarks.left_out import (
 from piga.calibration.remarks.leverage import find_leverage
 from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
 from piga.calibration.residuals import (
-    Products,
-    counted_products,
     diagnose,
     find_residuals,
+    is_rounded,
     segment_scatter,
     segment_table,
-    with_slow_counts,
 )
 from piga.calibration.sources import gravity_in_words
 from piga.calibration.summary import LiveRun, provenance, residual_figures
@@ -54,12 +51,11 @@ from piga.results import Array
 
 @dataclass(frozen=True)
 class _RunResiduals:
-    """Residuals of a run with raw data under the estimate, its segments, their scatter, and its lagged products."""
+    """Residuals of a run with raw data under the estimate, its segments, and their scatter."""
 
     residuals: Residuals
     segments: tuple[SegmentSummary, ...]
     scatter: SegmentScatter
-    products: Products
 
 
 def make_result(
@@ -153,10 +149,9 @@ def _residuals_of(fit: JointFit, index: int, live: LiveRun, kind: str) -> _RunRe
     design, values = fit.design_of(index, live)
     residuals = find_residuals(design, values, live.fit.noise, live.fit.mode)
     scatter = segment_scatter(design, residuals, live.fit.noise)
-    products = partial(counted_products, design, live.fit.noise, live.fit.mode, residuals)
     if fit.summaries[index].kind != kind:
         residuals = residual_angles(residuals, "rate")
-    return _RunResiduals(residuals, segment_table(design, residuals), scatter, products)
+    return _RunResiduals(residuals, segment_table(design, residuals), scatter)
 
 
 def _tested(fit: JointFit, parts: list[_RunResiduals], kind: str) -> Diagnostics:
@@ -165,9 +160,8 @@ def _tested(fit: JointFit, parts: list[_RunResiduals], kind: str) -> Diagnostics
     tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges)
     if parts:
         innovations = [part.residuals.innovation for part in parts]
-        tests = diagnose(innovations, tests, tuple(part.products for part in parts))
-    for live in filter(None, fit.live):
-        tests = with_slow_counts(tests, live.run)
+        rounded = all(is_rounded(live.run, live.fit.noise) for live in fit.live if live)
+        tests = diagnose(innovations, tests, rounded=rounded)
     return tests
 
 

@@ -23,7 +23,7 @@ from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
 from piga.errors import DataError, PigaError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.verdict import COUNTED, scale_over_nominal
+from piga.records.calibration.verdict import scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
@@ -158,8 +158,7 @@ def looks_wrong(result: Calibration) -> bool:
 
     The scale factor is far from the nominal one, or the residuals are not white.
     """
-    white = result.diagnostics.verdict in (None, "white", COUNTED)
-    return not (white and _likely(scale_over_nominal(result)))
+    return result.diagnostics.verdict not in (None, "white") or not _likely(scale_over_nominal(result))
 
 
 def _likely(scale: float) -> bool:

@@ -272,9 +272,7 @@ class Diagnostics(Result, SegmentScatter):
         Kind of residuals (angle or rate; count of a direct instrument); range in which the calibration holds: ``a_x``, ``a_t``
         [m/s^2], ``temperature`` [K].
     samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
-        Tests of the whitened residual; the verdict is "white", "white but for the counting", or says that it is not.
-    counting_probability:
-        Probability of correlations at least this far from those of counting; None if they are white or the output is not counted.
+        Tests of the whitened residual; the verdict is "white", or says that it is not, or not tested.
     leverage:
         Leverage of each segment, by label.
     advice, missing_terms:
@@ -295,7 +293,6 @@ class Diagnostics(Result, SegmentScatter):
     ljung_box: Number | None = None
     ljung_box_lags: Count | None = None
     ljung_box_probability: Probability | None = None
-    counting_probability: Probability | None = None
     skewness: Number | None = None
     excess_kurtosis: Number | None = None
     verdict: str | None = None

@@ -18,10 +18,8 @@ if TYPE_CHECKING:
 
 Grade = Literal["clear", "doubt", "do not use"]
 
-COUNTED = "white but for the counting"
-"""Verdict on whitened residuals whose correlation comes from counting. The others are ``white`` and ``not white: ...``."""
-SLOW_COUNTS = "not white: the output turns by nearly whole counts from sample to sample"
-"""Verdict on whitened residuals that are not white where the error of the counts changes slowly."""
+COUNTED = "not tested: rounding to whole counts correlates"
+"""Verdict on whitened residuals that rounding can correlate. The others are ``white`` and ``not white: ...``."""
 
 
 WELL_SEPARATED, SEPARATED = 1e3, 1e6
@@ -189,16 +187,13 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     tested = f"(Ljung-Box, {'p < 1e-300' if chance < 1e-300 else f'p = {chance:.2g}'})"
     contained = "the intervals come from the scatter of the positions, which contains it"
     within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
-    if tests.verdict == COUNTED:
-        words = "the whitened residuals correlate as whole counts make them, and no further"
-        yield f"{words} (p = {tests.counting_probability or 0.0:.2g})"
-    elif tests.verdict == "white":
-        yield f"the whitened residuals are white {tested}"
+    if tests.verdict.startswith("white"):
+        yield f"the whitened residuals are {tests.verdict} {tested}"
     else:
         what, remedy = f"the whitened residuals are not white {tested}", "look for suggested terms"
-        if tests.verdict == SLOW_COUNTS:
-            what = f"the whitened residuals are {SLOW_COUNTS} {tested}"
-            remedy = "sample at another rate, or take other angles or levels"
+        if tests.verdict == COUNTED:
+            what = f"the whitened residuals correlate {tested}, as rounding to whole counts can make them"
+            remedy = "sample at another rate, or take other angles or levels, to test them"
         elif not calibration.direct:
             remedy = "look for lines in the residuals by revolution order, and for suggested terms"
         if within and abs(neighbours) > _CORRELATED:

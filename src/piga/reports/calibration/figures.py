@@ -34,10 +34,7 @@ _SHOWN, _OUTLINE = 1 << 20, 50_000
 """Samples that figures work on at most, and points of the residuals of a longer record."""
 _BEAT = "the beat of whole counts with the sampling makes it, not the instrument"
 """Why a line stands in the spectrum of a counted output."""
-_COUNTED_NOTE = (
-    "The output is read in whole counts: the distribution is flat, and lags outside the band correlate as whole counts make "
-    "them. The verdict has the test."
-)
+_COUNTED_NOTE = "The output is read in whole counts: the distribution is flat, and rounding can correlate lags outside the band."
 """Why whitened residuals of a counted output are not normal."""
 
 

@@ -304,7 +304,6 @@ def _tests(cal: Calibration) -> list[tuple[str, str]]:
         "Variance of the whitened residuals": tests.variance,
         "Correlation of neighbours": tests.lag1_correlation,
         "Probability of the Ljung-Box test": tests.ljung_box_probability,
-        "Probability of correlations as far from those of whole counts": tests.counting_probability,
         "Skewness": tests.skewness,
         "Excess kurtosis": tests.excess_kurtosis,
     }
