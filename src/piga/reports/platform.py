@@ -24,7 +24,7 @@ from piga.platform.identify import (
 from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.platform.simulate import PlatformRun
 from piga.reports.render.figure import XYZ, Figure, Plot, Role
-from piga.reports.render.numbers import fixed, short
+from piga.reports.render.numbers import fixed, short, signed, significant
 from piga.reports.render.page import Cell, Content, Notice, Page, Section, Table, TableOf, Text, Tile, sections
 from piga.results import Array
 from piga.units import ARCMIN, ARCSEC, DAY
@@ -38,7 +38,7 @@ DEGREE_PER_HOUR = np.radians(1.0) / 3600.0
 def page(title: str, s: PlatformScenario, tiles: tuple[Tile, ...], shown: tuple[Section, ...]) -> Page:
     """A page with the run in its subtitle."""
     length = f"{s.duration / DAY:.4g} d at {s.step:g} s"
-    where = f"{np.degrees(s.place.latitude):.3f} deg latitude, {length}, base {s.motion.kind}"
+    where = f"{fixed(float(np.degrees(s.place.latitude)), 3)} deg latitude, {length}, base {s.motion.kind}"
     return Page(title, where, tiles, shown, "piga platform", _FOOTER)
 
 
@@ -77,8 +77,8 @@ def _parameter_row(p: Parameter, true: float | None) -> tuple[str, ...]:
     off = "–"
     if true is not None:
         difference = float(wrapped(p.value - true)) if unit == "deg" else p.value - true
-        off = f"{difference / p.std:+.2f}" if p.std > 1e-11 else f"{difference / scale:+.1e}"
-    return name, f"{p.value / scale:.5f}", f"{p.std / scale:.2g}", unit, off
+        off = signed(difference / p.std, 2) if p.std > 1e-11 else significant(difference / scale, 2)
+    return name, fixed(p.value / scale, 5), significant(p.std / scale, 2), unit, off
 
 
 def _truth_by_name(polar: Gyro, equatorial: Gyro) -> dict[str, float]:
@@ -116,7 +116,7 @@ def identification_page(
     for gyro in ("polar", "equatorial"):
         m = identification[f"{gyro}.misalignment"]
         spread = f"± {short(m.std / ARCSEC)} arcsec"
-        tiles.append(Tile(f"{gyro} misalignment", f"{m.value / ARCMIN:.5f}", "arcmin", spread))
+        tiles.append(Tile(f"{gyro} misalignment", fixed(m.value / ARCMIN, 5), "arcmin", spread))
     tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
     notes = (Notice("info", note) for note in identification.notes)
     found: tuple[Content, ...] = (_parameter_table(identification, s), *notes)
@@ -131,11 +131,11 @@ def identification_page(
 def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
     """Page of ``piga platform align``."""
     attitude, drift = aligned.std[:3].max() / ARCSEC, aligned.std[3:6].max() / DEGREE_PER_HOUR
-    heading, spread = np.degrees(aligned.base_angles[2]), aligned.base_stds[2] / ARCSEC
+    heading, spread = float(np.degrees(aligned.base_angles[2])), aligned.base_stds[2] / ARCSEC
     tiles = (
         Tile("triad attitude", short(float(attitude)), "arcsec", "largest standard uncertainty of three"),
         Tile("triad drift", short(float(drift)), "deg/h", "largest standard uncertainty"),
-        Tile("base heading", f"{heading:.4f}", "deg", f"± {short(float(spread))} arcsec"),
+        Tile("base heading", fixed(heading, 4), "deg", f"± {short(float(spread))} arcsec"),
     )
     note = "Accelerometer bias is not seen: one micro-g across gravity tilts the result by 0.2 arcsec."
     table = _quantities(_alignment_rows(run, aligned), "off truth", note)
@@ -145,10 +145,10 @@ def alignment_page(run: PlatformRun, aligned: Alignment) -> Page:
 
 def _truth_table(s: PlatformScenario) -> Table:
     known = [(_shown(name), value) for name, value in _truth_by_name(s.polar, s.equatorial).items()]
-    rows = [(words, f"{value / scale:.4f}", unit) for (words, scale, unit), value in known]
+    rows = [(words, fixed(value / scale, 4), unit) for (words, scale, unit), value in known]
     for name, gyro, axes in (("polar", s.polar, "w1x, w1y"), ("equatorial", s.equatorial, "w2y, w2z")):
         for words, drift in ((f"drift {axes}", gyro.drift), ("case-fixed drift", gyro.case_drift)):
-            pair = ", ".join(f"{w / DEGREE_PER_HOUR:.4g}" for w in drift)
+            pair = ", ".join(significant(w / DEGREE_PER_HOUR, 4) for w in drift)
             rows.append((f"{name} {words}", pair, "deg/h"))
     table = TableOf(rows).text("quantity", lambda row: row[0]).number("value", lambda row: row[1])
     return table.text("unit", lambda row: row[2]).table()
@@ -192,15 +192,15 @@ def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str,
     for k, axis in enumerate("xyz"):
         value, std = aligned.triad_vector[k] / ARCSEC, aligned.std[k] / ARCSEC
         off = (aligned.triad_vector[k] - true[k]) / ARCSEC
-        yield f"triad attitude {axis}", f"{value:.3f}", f"{std:.2g}", "arcsec", f"{off:+.3f}"
+        yield f"triad attitude {axis}", fixed(value, 3), significant(std, 2), "arcsec", signed(off, 3)
     for k, axis in enumerate("xyz"):
         value, std = aligned.drift[k] / DEGREE_PER_HOUR, aligned.std[3 + k] / DEGREE_PER_HOUR
-        yield f"triad drift {axis}", f"{value:.2e}", f"{std:.1e}", "deg/h", "–"
+        yield f"triad drift {axis}", significant(value, 3), significant(std, 2), "deg/h", "–"
     put_in = {"roll": motion.roll, "pitch": motion.pitch, "heading": motion.heading}
     for k, (name, angle) in enumerate(put_in.items()):
         value, std = float(np.degrees(aligned.base_angles[k])), np.degrees(aligned.base_stds[k])
         off = float(np.remainder(value - np.degrees(angle) + 180.0, 360.0) - 180.0)
-        yield f"base {name}", fixed(value, 5), f"{std:.1e}", "deg", f"{off:+.1e}"
+        yield f"base {name}", fixed(value, 5), significant(std, 2), "deg", significant(off, 2)
 
 
 def navigation_page(comparison: ModelComparisonRun) -> Page:
@@ -293,10 +293,10 @@ def _lines_sentence(c: ModelComparisonRun, which: Case, day: int) -> str:
         return f"Amplitudes at the case-rotation period, fitted over each of {day} days."
     parts = [f"On day {day} {name} leaves an east velocity line of {short(1e3 * left)} mm/s."]
     removed = {m: 100.0 * (1.0 - line / left) for m, line in east.items() if m not in ("none", shown)}
-    parts += [f"Model {m} removes {share:.1f} % of it." for m, share in removed.items()]
+    parts += [f"Model {m} removes {fixed(share, 1)} % of it." for m, share in removed.items()]
     if (theory := c.models[shown].theory) is not None:
         ratio = float(getattr(theory, which)["east_velocity"][-1]) / left
-        parts.append(f"The closed form for {name} is {100.0 * (ratio - 1.0):+.2f} % off what was navigated.")
+        parts.append(f"The closed form for {name} is {signed(100.0 * (ratio - 1.0), 2)} % off what was navigated.")
     return " ".join(parts)
 
 
