@@ -48,6 +48,16 @@ def test_page_holds_every_coefficient_and_alarm():
     assert html == page_html(trend_page(made, at=AT))
 
 
+def test_what_is_not_judged_is_not_called_in_control():
+    entries = [(f"r{k}", START + dt.timedelta(days=k), record({"k0": 1e-3}, {"k0": 1e-6})) for k in range(4)]
+    texts = [page_text(trend_brief(find_trend(entries[:n]))) for n in (2, 3, 4)]
+    for text, judged in zip(texts, (0, 0, 1), strict=True):
+        assert ("No record is out of control" in text) == (judged > 0)
+        assert ("No record is judged yet" in text) == (judged == 0)
+        assert f"{judged} of " in text
+    assert "0 of 1, needs three days" in texts[0]
+
+
 def test_text_and_document():
     made = instrument()
     text = page_text(trend_brief(made, at=AT))

@@ -14,10 +14,10 @@ import numpy as np
 from piga.records.terms import meaning_of, shown_unit
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
-from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile
+from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
-from piga.trend.trend_line import CONTROL_LIMIT, Forecast
+from piga.trend.trend_line import CONTROL_LIMIT, LEAST_DAYS, Forecast
 from piga.units import DAY
 
 _GRID = 80
@@ -63,7 +63,7 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
     plot = Plot(f"trend-{trend.key.replace('_', '-')}", f"{trend.key} over time.", height=2.7)
     _add_values(plot, trend, drifts.start, ahead)
-    if np.isfinite(trend.chart.score).any():
+    if np.isfinite(trend.scores).any():
         _add_control(plot, trend, drifts.start)
     return plot.caption(
         "Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
@@ -81,7 +81,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
         return scale.shown(values[:, 0]), values[:, 1] * scale.factor
 
     plot.panel(DATE, Axis(scale.quantity, scale.unit), trend.key)
-    if trend.model.line is not None:
+    if trend.line is not None:
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
         middle, half = shown([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
@@ -93,7 +93,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
             error = np.array([point.own_half_width for point in those]) * scale.factor
             names = tuple(point.record for point in those)
             plot.points(_dates(start, time), scale.shown(values), name, role, error=error, text=names)
-    if ahead is not None and trend.model.line is not None:
+    if ahead is not None and trend.line is not None:
         value, half = shown([trend.coefficient_at(ahead)])
         plot.points([_dates(start, ahead)], value, "forecast of the coefficient", "after", error=half)
 
@@ -102,14 +102,14 @@ _KINDS: tuple[tuple[str, Role, bool], ...] = (("records", "data", False), ("out 
 
 
 def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> None:
-    chart, limit = trend.chart, CONTROL_LIMIT
-    seen = np.isfinite(chart.score)
-    x = _dates(start, chart.time[seen])
+    seen = np.isfinite(trend.scores)
+    x = _dates(start, trend.days.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
     plot.panel(DATE, "deviation from the forecast [std]", "Control chart")
-    plot.points(x, chart.score[seen], "score of a day").line(x, chart.average[seen], "moving average", "model")
+    plot.points(x, trend.scores[seen], "score of a day").line(x, trend.average[seen], "moving average", "model")
     for sign, name, score in ((1.0, "limit of the average", "limit of a score"), (-1.0, "", "")):
-        plot.dashed(x, sign * chart.limit[seen], name, "model").level(ends, sign * limit, score, "warning")
+        plot.dashed(x, sign * trend.limit[seen], name, "model")
+        plot.level(ends, sign * CONTROL_LIMIT, score, "warning")
 
 
 def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
@@ -120,11 +120,15 @@ def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
     return by_key | {"": next(iter(by_key.values()))}
 
 
+_UNJUDGED = "No record is judged yet: that needs records of three earlier days."
+
+
 def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms first, then stability and drift of each coefficient, with a forecast for ``at`` where it is given."""
     alarms = [Notice("problem", printed(alarm)) for alarm in drifts.alarms]
     remarks = (Notice("warning", printed(remark)) for remark in drifts.remarks)
-    judged = (*(alarms or [Notice("good", "No record is out of control.")]), *remarks)
+    calm = "No record is out of control." if drifts.judged else _UNJUDGED
+    judged = (*(alarms or [Notice("good" if drifts.judged else "info", calm)]), *remarks)
     lead = (
         "Turn-on is the scatter inside a day, day to day the scatter between days, each beyond the records' own "
         "uncertainties; drift is the line through the days. Intervals are for 95 %, by Student's t. Errors that all "
@@ -153,23 +157,20 @@ def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
     return replace(short, sections=(*short.sections, Section("", "first", drawn)))
 
 
-def _drifts(trend: CoefficientTrend) -> bool:
-    """True if the drift is larger than its interval."""
-    return trend.drift is not None and abs(trend.drift.value) > trend.drift.half_width()
-
-
 def _tiles(drifts: Trend) -> tuple[Tile, ...]:
     span = drifts.years(drifts.times[-1])
     days = len({point.day for point in drifts.coefficients[0].points}) if drifts.coefficients else 0
-    drifting = [trend.key for trend in drifts.coefficients if _drifts(trend)]
+    drifting = [trend.key for trend in drifts.coefficients if trend.drifts]
     count, of = len(drifts.alarms), f"of {len(drifts.coefficients)}"
+    judged = f"{drifts.judged} of {len(drifts.records)} records judged"
     period, unit = (fixed(span, 1), "years") if span >= 1.0 else (f"{span * 365.25:.0f}", "days")
-    which = ", ".join(drifting) or "none beyond its uncertainty"
+    which = ", ".join(drifting) or ("none beyond its uncertainty" if days >= LEAST_DAYS else "needs three days")
+    calm: Tone = "good" if drifts.judged else "quiet"
     return (
         Tile("Records", str(len(drifts.records)), "", "on 1 day" if days == 1 else f"on {days} days"),
         Tile("Span", period, unit),
-        Tile("Alarms", str(count), "", "see below" if count else "all in control", "bad" if count else "good"),
-        Tile("Coefficients that drift", str(len(drifting)), of, which, "doubtful" if drifting else "good"),
+        Tile("Alarms", str(count), "", judged, "bad" if count else calm),
+        Tile("Coefficients that drift", str(len(drifting)), of, which, "doubtful" if drifting else calm),
     )
 
 
@@ -180,7 +181,7 @@ def _summary_table(drifts: Trend, at: dt.datetime | None = None) -> Table:
 
     def drift(trend: CoefficientTrend) -> str | Cell:
         shown = "–" if trend.drift is None else _interval(trend.drift, _scale(trend))
-        return Cell(shown, "doubtful" if _drifts(trend) else "")
+        return Cell(shown, "doubtful" if trend.drifts or trend.stepped else "")
 
     table = (
         TableOf(drifts.coefficients)
@@ -203,7 +204,7 @@ def _scale(trend: CoefficientTrend) -> float:
 
 def _at(trend: CoefficientTrend, years: float) -> str:
     """Value on the line with its interval; empty without a line."""
-    return _interval(trend.coefficient_at(years), _scale(trend)) if trend.model.line else ""
+    return _interval(trend.coefficient_at(years), _scale(trend)) if trend.line else ""
 
 
 def _interval(forecast: Forecast | None, scale: float) -> str:
@@ -240,7 +241,7 @@ def trend_document(drifts: Trend, *, at: dt.datetime | None = None) -> dict[str,
     """The trend as plain JSON values, in file units; nan becomes null."""
 
     def ahead(trend: CoefficientTrend, forecast: Callable[[float], Forecast]) -> dict[str, Any] | None:
-        if at is None or trend.model.line is None:
+        if at is None or trend.line is None:
             return None
         return {"date": at.isoformat(), **(_forecast_document(forecast(drifts.years(at))) or {})}
 

@@ -5,17 +5,16 @@
 'find_trend'
 """
 
-from piga.trend.history import Chart, CoefficientTrend, Point, Trend, find_trend
-from piga.trend.trend_line import Forecast, Outlook, Step, TrendModel
+from piga.trend.history import CoefficientTrend, Point, Trend, find_trend
+from piga.trend.trend_line import Forecast, Line, Outlook, Step
 
 __all__ = [
-    "Chart",
     "CoefficientTrend",
     "Forecast",
+    "Line",
     "Outlook",
     "Point",
     "Step",
     "Trend",
-    "TrendModel",
     "find_trend",
 ]

@@ -29,11 +29,13 @@ from piga.trend.trend_line import (
     CONTROL_LIMIT,
     DOUBT,
     LEAST_DAYS,
+    Days,
     Forecast,
+    Line,
     Outlook,
     Step,
-    TrendModel,
     clearest_step,
+    line_through,
     merge_by_day,
     moving_average,
     outlook,
@@ -84,50 +86,44 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Chart(Result):
-    """Control chart of the days: score of each day mean, its moving average, and the limit of the average."""
-
-    time: Array
-    score: Array
-    average: Array
-    limit: Array
-
-    @property
-    def shifted(self) -> NDArray[np.bool_]:
-        """Days at which the moving average is beyond its limit."""
-        return np.abs(self.average) > self.limit
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class CoefficientTrend(Result):
     """The trend of one coefficient; times in years since ``Trend.start``, values in ``unit``.
 
-    ``last_shared`` (sources,) are the errors common to the last record and other records. ``step`` is the clearest step
-    of the level, None with fewer than five days.
+    ``line`` is None with fewer than three days, ``step``, the clearest step of the level, with fewer than five. ``scores``
+    (days,) is the control chart of the day means, ``average`` its moving average with the control limit ``limit``.
+    ``last_shared`` (sources,) are the errors common to the last record and other records.
     """
 
     key: str
     unit: str
     points: tuple[Point, ...]
-    chart: Chart
-    model: TrendModel
+    days: Days
+    line: Line | None
     step: Step | None
+    scores: Array
+    average: Array
+    limit: Array
     last_shared: Array
 
     @property
     def turn_on(self) -> float:
         """Standard deviation within days beyond the stated uncertainty; nan without repeats."""
-        return math.sqrt(self.model.days.within) if self.model.days.freedom else math.nan
+        return math.sqrt(self.days.within) if self.days.freedom else math.nan
 
     @property
     def day_to_day(self) -> float:
         """Standard deviation between days beyond stated uncertainty and turn-on; nan with too few days."""
-        return math.sqrt(self.model.line.excess) if self.model.line is not None else math.nan
+        return math.nan if self.line is None else math.sqrt(self.line.excess)
 
     @property
     def drift(self) -> Forecast | None:
         """Change per year with its uncertainty, None with fewer than three days."""
-        return self.model.drift
+        return None if self.line is None else self.line.drift
+
+    @property
+    def drifts(self) -> bool:
+        """True if the drift is beyond its 95 % interval, and no step alarms: a line through a step is not a drift."""
+        return self.drift is not None and abs(self.drift.value) > self.drift.half_width() and not self.stepped
 
     @property
     def stepped(self) -> bool:
@@ -137,28 +133,34 @@ class CoefficientTrend(Result):
     @cached_property
     def outlook(self) -> Outlook:
         """The models of the scatter, for forecasts."""
-        return outlook(self.model.days)
+        return outlook(self.days)
 
     def coefficient_at(self, time: float) -> Forecast:
         """The coefficient at a turn-on at a time, including common errors of all records."""
-        return self.outlook.at(time, self.model.days.within)
+        return self.outlook.at(time, self.days.within)
 
     def next_record(self, time: float) -> Forecast:
         """Forecast of a further record with the uncertainty and the standards of the last one."""
-        own = self.points[-1].own ** 2 + self.model.days.within
+        own = self.points[-1].own ** 2 + self.days.within
         return self.outlook.at(time, own, self.last_shared)
+
+    def _in_unit(self, half: float, *values: float) -> tuple[str, ...]:
+        """Values in the unit of the pages, to two digits of the uncertainty ``half``; the unit follows."""
+        scale, unit = shown_unit(self.key, self.unit)
+        last = 1 - math.floor(math.log10(half * scale))
+        numbers = (round(value * scale, last) + 0.0 for value in values)
+        shown = (f"{number:.{max(last, 0)}f}" if last < 5 else f"{number:.12g}" for number in numbers)
+        return (*shown, f" {unit}".removesuffix(" 1"))
 
     def alarms(self, dates: Sequence[dt.datetime]) -> Iterator[str]:
         """Records outside their forecast, a step of the level, a shift of the moving average; ``dates`` of the records."""
-        scale, unit = shown_unit(self.key, self.unit)
-        unit = f" {unit}".removesuffix(" 1")
         for point, date in zip(self.points, dates, strict=True):
             if point.outside and point.forecast is not None:
                 side = "above" if point.score > 0.0 else "below"
+                value, expected, unit = self._in_unit(point.own, point.value, point.forecast.value)
                 yield (
-                    f"{self.key}: record {point.record} of {date:%Y-%m-%d} shows {point.value * scale:.7g}{unit}, "
-                    f"{abs(point.score):.1f} standard deviations {side} the forecast from earlier records, "
-                    f"{point.forecast.value * scale:.7g}{unit} (limit 3)."
+                    f"{self.key}: record {point.record} of {date:%Y-%m-%d} shows {value}{unit}, {abs(point.score):.1f} "
+                    f"standard deviations {side} the forecast from earlier records, {expected}{unit} (limit 3)."
                 )
 
         def since(day: int) -> str:
@@ -166,33 +168,34 @@ class CoefficientTrend(Result):
             return f"{self.key}: from {dates[first]:%Y-%m-%d} (record {self.points[first].record})"
 
         if self.stepped and (step := self.step):
-            size = _to_two_digits_of(step.std * scale, abs(step.size) * scale)
+            size, unit = self._in_unit(step.std, abs(step.size))
             yield (
                 f"{since(step.day)} on the values are {size}{unit} {'higher' if step.size > 0.0 else 'lower'} than a line "
-                "through the earlier ones says. If the instrument was changed then, judge its trend from that day on."
+                "through the earlier ones says. Drift, scatter and forecast contain this step. If the instrument was "
+                "changed then, judge its trend from that day on."
             )
-        for day in np.flatnonzero(self.chart.shifted)[:1].tolist():
-            side = "above" if self.chart.average[day] > 0.0 else "below"
+        for day in np.flatnonzero(np.abs(self.average) > self.limit)[:1].tolist():
+            side = "above" if self.average[day] > 0.0 else "below"
             yield (
                 f"{since(day)} the values stay {side} the forecast from earlier records: the moving average of their "
                 "deviations passed its control limit."
             )
 
     def remarks(self) -> Iterator[str]:
-        """A drift beyond its 95 % interval, and a scatter of the days that contradicts the stated uncertainties."""
+        """What differs between two days; a drift; a scatter of the days that contradicts the stated uncertainties."""
         from scipy.special import chdtr, chdtrc
 
-        drift, line = self.drift, self.model.line
-        if drift is None or line is None:
+        drift, line = self.drift, self.line
+        if line is None or drift is None:
+            yield from self._difference()
             return
-        if abs(drift.value) > drift.half_width():
-            scale, unit = shown_unit(self.key, self.unit)
-            value, half = drift.value * scale, drift.half_width() * scale
-            shown, low, high = (_to_two_digits_of(half, end) for end in (value, value - half, value + half))
-            unit = f"{unit} per year".removeprefix("1 ")
-            yield f"{self.key} drifts by {shown} {unit} (95 %: {low} to {high})."
+        if self.drifts:
+            half = drift.half_width()
+            ends = drift.value, drift.value - half, drift.value + half
+            shown, low, high, unit = self._in_unit(half, *ends)
+            yield f"{self.key} drifts by {shown}{unit} per year (95 %: {low} to {high})."
         nu, times = line.degrees_of_freedom, math.sqrt(line.chi2 / line.degrees_of_freedom)
-        if chdtrc(nu, line.chi2) < DOUBT:
+        if chdtrc(nu, line.chi2) < DOUBT and not self.stepped:
             yield (
                 f"{self.key}: days scatter {times:.1f} times as much as the records' own uncertainties explain. "
                 "The excess counts as day-to-day instability."
@@ -201,6 +204,19 @@ class CoefficientTrend(Result):
             yield (
                 f"{self.key}: days scatter less than the records' own uncertainties say: these are stated too "
                 "large, or contain a part that the records share."
+            )
+
+    def _difference(self) -> Iterator[str]:
+        """The change from one day to another, if it is beyond the control limit."""
+        days = self.days
+        change = float(days.means[-1] - days.means[0])
+        common = float(np.sum((days.shared[-1] - days.shared[0]) ** 2))
+        std = math.sqrt(float(days.variances.sum()) + common)
+        if len(days.means) == 2 and abs(change) > CONTROL_LIMIT * std:
+            size, unit = self._in_unit(std, abs(change))
+            yield (
+                f"{self.key}: the second day shows {size}{unit} {'more' if change > 0.0 else 'less'} than the first, "
+                f"{abs(change) / std:.1f} standard uncertainties of the difference. A third day tells more."
             )
 
 
@@ -236,18 +252,17 @@ class Trend(Result, Reported):
     def _subject(self) -> ModuleType:
         return doors().shown_trend()
 
+    @property
+    def judged(self) -> int:
+        """Number of records with a forecast from earlier days; without one no alarm is possible."""
+        return sum(point.forecast is not None for trend in self.coefficients[:1] for point in trend.points)
+
     def in_brief(self) -> list[tuple[str, str]]:
-        """What a notebook shows of the trend."""
-        drifts = {
-            c.key: f"{c.drift.value:.3g} +- {c.drift.std:.2g} a year" if c.drift else "too few days"
-            for c in self.coefficients
-        }
-        return [
-            ("instrument", self.serial),
-            ("records", f"{len(self.records)}, {self.times[0]:%Y-%m-%d} to {self.times[-1]:%Y-%m-%d}"),
-            ("alarms", "; ".join(self.alarms) or "none"),
-            *drifts.items(),
-        ]
+        """Instrument, records, alarms and remarks."""
+        dates = f"{self.times[0]:%Y-%m-%d} to {self.times[-1]:%Y-%m-%d}"
+        rows = [("instrument", self.serial), ("records", f"{len(self.records)}, {dates}, {self.judged} judged")]
+        rows += [("alarm", alarm) for alarm in self.alarms]
+        return rows + [("remark", remark) for remark in self.remarks]
 
 
 @one_thread()
@@ -336,16 +351,16 @@ class _Records:
         doubt = stds**4 / freedoms - doubt
         degrees = np.divide(own**4, doubt, out=np.full_like(own, math.inf), where=doubt > 0.0)
         half = np.asarray(coverage_factor(degrees)) * own
-        model = TrendModel(merge_by_day(self.years, values, own**2, self.days, shared))
+        days = merge_by_day(self.years, values, own**2, self.days, shared)
+        line = line_through(days) if days.time.size >= LEAST_DAYS else None
         forecasts, scores, day_scores = self._expected(values, own, shared)
         lists = (part.tolist() for part in (self.years, self.days, own, half, scores))
         points = tuple(
             Point(name, time, day, c.value, c.std, c.expanded, *rest)
             for name, c, time, day, *rest in zip(self.names, coefficients, *lists, forecasts, strict=True)
         )
-        chart = Chart(model.days.time, day_scores, *moving_average(day_scores))
-        step = clearest_step(model.days)
-        return CoefficientTrend(key, coefficients[0].unit, points, chart, model, step, shared[:, -1].copy())
+        found = points, days, line, clearest_step(days), day_scores, *moving_average(day_scores)
+        return CoefficientTrend(key, coefficients[0].unit, *found, shared[:, -1].copy())
 
     def _shared(self, key: str) -> tuple[Array, Array]:
         """Contributions (sources, records) of Type B that are common to all records, and their part of ``u^4/nu``.
@@ -369,14 +384,14 @@ class _Records:
         for day in range(LEAST_DAYS, count):
             before, today = self.days < day, np.flatnonzero(self.days == day)
             earlier = self.years[before], values[before], own[before] ** 2, self.days[before], shared[:, before]
-            model = TrendModel(merge_by_day(*earlier))
+            line = line_through(merge_by_day(*earlier))
             for i in today.tolist():
-                forecast = model.record_at(float(self.years[i]), float(own[i]), shared[:, i])
+                forecast = line.record_at(float(self.years[i]), float(own[i]), shared[:, i])
                 forecasts[i], scores[i] = forecast, forecast.score(float(values[i]))
-            weights = 1.0 / (own[today] ** 2 + model.days.within)
+            weights = 1.0 / (own[today] ** 2 + line.days.within)
             mean = weights @ values[today] / weights.sum()
             common = shared[:, today] @ weights / weights.sum()
-            expected = model.at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
+            expected = line.at(float(self.years[today].mean()), float(1.0 / weights.sum()), common)
             day_scores[day] = expected.score(float(mean))
         return forecasts, scores, day_scores
 
@@ -385,7 +400,11 @@ class _Records:
         calibrations = self.calibrations
         days, span, n = int(self.days[-1]) + 1, float(self.years[-1]), len(calibrations)
         if days < LEAST_DAYS:
-            yield f"The records are of {days} day{'s' * (days > 1)}: drift and forecast need three days or more."
+            count = f"{days} day{'s' * (days > 1)}"
+            yield (
+                f"The records are of {count}: drift and forecast need three days or more. A file counts for the day of its "
+                "evaluation; 'piga records add --measured' keeps that of the test."
+            )
         elif span < _SHORT:
             yield f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
         if len({calibration.terms for calibration in calibrations}) > 1:
@@ -414,8 +433,3 @@ def _shared_part(common: Common, source: str) -> float:
     if drawn_for(source.split(" ", maxsplit=1)[0]) != "reference":
         return 0.0
     return 1.0 if isinstance(common, Mapping) else float(common)
-
-
-def _to_two_digits_of(half: float, number: float) -> str:
-    last = 1 - math.floor(math.log10(half))
-    return f"{round(number, last):.{max(last, 0)}f}" if last < 5 else f"{round(number, last):.12g}"

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +98,30 @@ def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale
     return scale * float(brentq(lambda part: residual_sum(part * scale) - freedom, 0.0, 1.0, xtol=1e-15))
 
 
+@dataclass(frozen=True)
+class Forecast:
+    """Value at a time with its standard uncertainty and (effective) degrees of freedom."""
+
+    time: float
+    value: float
+    std: float
+    degrees_of_freedom: float
+
+    def half_width(self, probability: float = 0.95) -> float:
+        """Half-width of the interval of a probability, by Student's t."""
+        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * self.std
+
+    def score(self, value: float) -> float:
+        """Deviation of a value from this forecast, as a standard normal number of the same probability."""
+        from scipy.special import ndtri_exp, stdtr
+
+        deviation = (value - self.value) / self.std
+        if math.isinf(self.degrees_of_freedom):
+            return deviation
+        tail = max(float(stdtr(self.degrees_of_freedom, -abs(deviation))), 1e-300)
+        return math.copysign(float(ndtri_exp(math.log(tail))), deviation)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Line(Result):
     """Weighted least squares of the day means: a straight line about the time ``origin``, perhaps with a step.
@@ -111,6 +133,7 @@ class Line(Result):
     scatter less than stated, but not less than its 20 % quantile. ``chi2`` is the sum with the stated variances alone.
     """
 
+    days: Days
     origin: float
     coefficients: Array
     covariance: Array
@@ -121,10 +144,42 @@ class Line(Result):
     chi2: float
     degrees_of_freedom: int
 
-    def at(self, time: float) -> tuple[float, float, Array]:
-        """Value of a line without step, its variance from the scatter, and the effect (sources,) of common errors."""
+    @property
+    def drift(self) -> Forecast:
+        """Change per unit of time."""
+        parts = (self.covariance[1, 1], self.degrees_of_freedom), (np.sum(self.shared[1] ** 2), math.inf)
+        return _combined(1.0, self.coefficients[1], parts)
+
+    def record_at(self, time: float, own: float, shared: Array) -> Forecast:
+        """Forecast of a record; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
+        usual = float(np.median(self.days.variances)) if self.days.freedom else math.inf
+        day = min(own**2, usual)
+        return self.at(time, day, shared, self.days.within + own**2 - day)
+
+    def at(self, time: float, day: float, shared: Array, inside: float = 0.0) -> Forecast:
+        """Forecast, by a line without step, of a value with variances ``day`` between days and ``inside`` within the day.
+
+        The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
+        needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's variance,
+        ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``, is therefore added. In simulation this keeps the intervals
+        near 95 %.
+        """
         part = np.array([1.0, time - self.origin])
-        return float(part @ self.coefficients), float(part @ self.covariance @ part), part @ self.shared
+        unsure = math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
+        doubt = 0.5 * unsure * max(0.0, 1.0 - day / self.stated)
+        scatter = float(part @ self.covariance @ part) + self.scale * (self.excess + day) + doubt
+        parts = (
+            (scatter, self.degrees_of_freedom),
+            (inside, self.days.freedom or math.inf),
+            (np.sum((part @ self.shared - shared) ** 2), math.inf),
+        )
+        return _combined(time, float(part @ self.coefficients), parts)
+
+
+def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
+    variances, degrees = np.array(parts, dtype=float).T
+    freedom = float(welch_satterthwaite(np.sqrt(variances), degrees))
+    return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
 
 
 def line_through(days: Days, step: int | None = None) -> Line:
@@ -151,6 +206,7 @@ def line_through(days: Days, step: int | None = None) -> Line:
     coefficients = estimate @ since
     coefficients[0] += y[0]
     return Line(
+        days=days,
         origin=origin,
         coefficients=coefficients,
         covariance=scale * (estimate * (v + excess)) @ estimate.T,
@@ -193,86 +249,6 @@ def clearest_step(days: Days) -> Step | None:
     return min(steps, key=lambda step: step.probability)
 
 
-@dataclass(frozen=True)
-class Forecast:
-    """Value at a time with its standard uncertainty and (effective) degrees of freedom."""
-
-    time: float
-    value: float
-    std: float
-    degrees_of_freedom: float
-
-    def half_width(self, probability: float = 0.95) -> float:
-        """Half-width of the interval of a probability, by Student's t."""
-        return coverage_factor(max(self.degrees_of_freedom, 1.0), probability) * self.std
-
-    def score(self, value: float) -> float:
-        """Deviation of a value from this forecast, as a standard normal number of the same probability."""
-        from scipy.special import ndtri_exp, stdtr
-
-        deviation = (value - self.value) / self.std
-        if math.isinf(self.degrees_of_freedom):
-            return deviation
-        tail = max(float(stdtr(self.degrees_of_freedom, -abs(deviation))), 1e-300)
-        return math.copysign(float(ndtri_exp(math.log(tail))), deviation)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TrendModel(Result):
-    """Records merged by day, and the line through the days; times in years."""
-
-    days: Days
-
-    @cached_property
-    def line(self) -> Line | None:
-        """The line through the days, None with fewer than three."""
-        return line_through(self.days) if self.days.time.size >= LEAST_DAYS else None
-
-    @property
-    def drift(self) -> Forecast | None:
-        """Change per year, None with fewer than three days."""
-        if (line := self.line) is None:
-            return None
-        parts = (line.covariance[1, 1], line.degrees_of_freedom), (np.sum(line.shared[1] ** 2), math.inf)
-        return _combined(1.0, line.coefficients[1], parts)
-
-    def record_at(self, time: float, own: float, shared: Array) -> Forecast:
-        """Forecast of a record by the line; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
-        usual = float(np.median(self.days.variances)) if self.days.freedom else math.inf
-        day = min(own**2, usual)
-        return self.at(time, day, shared, self.days.within + own**2 - day)
-
-    def at(self, time: float, day: float, shared: Array, inside: float = 0.0) -> Forecast:
-        """Forecast by the line of a value with variances ``day`` between days and ``inside`` within the day.
-
-        The scatter of the days gives only the sum of instability and stated variance. A value with a smaller own variance
-        needs the instability alone, which is uncertain. Up to half the standard uncertainty of the instability's variance,
-        ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``, is therefore added. In simulation this keeps the intervals
-        near 95 %.
-        """
-        line = self.line
-        if line is None:
-            raise _TOO_FEW
-        value, variance, common = line.at(time)
-        unsure = math.sqrt(2.0 / line.degrees_of_freedom) * (line.excess + line.stated)
-        doubt = 0.5 * unsure * max(0.0, 1.0 - day / line.stated)
-        parts = (
-            (variance + line.scale * (line.excess + day) + doubt, line.degrees_of_freedom),
-            (inside, self.days.freedom or math.inf),
-            (np.sum((common - shared) ** 2), math.inf),
-        )
-        return _combined(time, value, parts)
-
-
-_TOO_FEW = ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
-
-
-def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
-    variances, degrees = np.array(parts, dtype=float).T
-    freedom = float(welch_satterthwaite(np.sqrt(variances), degrees))
-    return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
-
-
 def moving_average(scores: Array) -> tuple[Array, Array]:
     """Exponentially weighted moving average of the scores, and its control limit.
 
@@ -280,13 +256,12 @@ def moving_average(scores: Array) -> tuple[Array, Array]:
     ``w/(2 - w) (1 - (1 - w)^(2 n))``.
     """
     averages, limits = np.full((2, scores.size), np.nan)
-    seen, most, weight = np.flatnonzero(~np.isnan(scores)), CONTROL_LIMIT, _SMOOTHING
-    steps = weight * np.clip(scores[seen], -most, most)
-    averages[seen] = list(
-        accumulate(steps, lambda average, step: (1.0 - weight) * average + step, initial=0.0)
-    )[1:]
+    seen, weight, average = np.flatnonzero(~np.isnan(scores)), _SMOOTHING, 0.0
+    for k in seen:
+        average += weight * (np.clip(scores[k], -CONTROL_LIMIT, CONTROL_LIMIT) - average)
+        averages[k] = average
     remembered = (1.0 - weight) ** (2 * np.arange(1, seen.size + 1))
-    limits[seen] = most * np.sqrt(weight / (2.0 - weight) * (1.0 - remembered))
+    limits[seen] = CONTROL_LIMIT * np.sqrt(weight / (2.0 - weight) * (1.0 - remembered))
     return averages, limits
 
 
@@ -294,99 +269,84 @@ def moving_average(scores: Array) -> tuple[Array, Array]:
 
 _SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
 """Variances of the scatter that are tried, relative to that about the line (or the mean stated variance)."""
-_SHARES = (0.3, 0.7, 1.0)
-"""Shares of the scatter that walk."""
+_WALKS = ((0.0,), (0.3, 0.7, 1.0), (0.3, 0.7, 1.0))
+"""Causes of the scatter, each by the shares of it that walk: each day for itself, a walk from 0, its integral."""
 _LEAST_WEIGHT = 1e-6
-
-
-CAUSES: tuple[Callable[[Array, Array], Array], ...] = (
-    lambda a, b: np.zeros((a.size, b.size)),
-    np.minimum.outer,
-    lambda a, b: np.minimum.outer(a, b) ** 2 * (3.0 * np.maximum.outer(a, b) - np.minimum.outer(a, b)) / 6.0,
-)
-"""Covariance (n, m) between days at times ``a`` (n,) and ``b`` (m,): each day for itself, a walk from 0, its integral."""
-
-
-@dataclass(frozen=True)
-class _Model:
-    """One covariance: its cause, variance that walks (``moving``) and that does not (``still``), Cholesky factor, weight."""
-
-    cause: int
-    still: float
-    moving: float
-    factor: Array
-    weight: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outlook(Result):
-    """Days of a history and the models of their scatter, by weight."""
+    """Days of a history and the models (m,) of their scatter.
+
+    Each has a ``cause``, a variance that walks (``moving``), one that does not (``still``), a ``weight``, and the inverse of the
+    covariance of the days (``inverse``).
+    """
 
     days: Days
-    models: tuple[_Model, ...]
+    cause: NDArray[np.int64]
+    still: Array
+    moving: Array
+    weight: Array
+    inverse: Array
 
     def at(self, time: float, variance: float = 0.0, shared: Array | None = None) -> Forecast:
-        """Forecast of a value at ``time`` with a further own ``variance``.
+        """Forecast of a value at ``time`` with a further own ``variance``, by generalised least squares.
 
         ``shared`` (sources,) are its errors common to the days; None: the coefficient itself, without errors.
         """
-        days, since = self.days, self.days.time - self.days.time[0]
+        days, design = self.days, _design(self.days.time, self.days.time)
+        there, since = _design(days.time, np.array([time]))[0], days.time - days.time[0]
         ahead = np.array([time - days.time[0]])
-        design = _design(days.time)
-        there = np.array([1.0, (time - days.time.mean()) / np.ptp(days.time)])
-        weights, values, variances = np.zeros(since.size), [], []
-        for model in self.models:
-            covariance = CAUSES[model.cause]
-            covariances = model.moving * covariance(since, ahead)[:, 0]
-            variance_then = model.moving * float(covariance(ahead, ahead)[0, 0]) + model.still + variance
-            whitened = np.linalg.solve(model.factor, np.column_stack([design, covariances, days.means]))
-            X, g, y = whitened[:, :2], whitened[:, 2], whitened[:, 3]
-            q, r = np.linalg.qr(X)
-            direction = np.linalg.solve(r.T, there - X.T @ g)
-            on_days = g + q @ direction  # weights on the whitened days
-            values.append(float(on_days @ y))
-            variances.append(variance_then - float(g @ g) + float(direction @ direction))
-            weights += model.weight * np.linalg.solve(model.factor.T, on_days)
-        chance = np.array([model.weight for model in self.models])
-        mean = float(chance @ values)
-        common = weights @ days.shared - (0.0 if shared is None else shared)
-        spread = float(chance @ (np.array(variances) + (np.array(values) - mean) ** 2))
-        return Forecast(time, mean, math.sqrt(max(spread, 0.0) + float(np.sum(common**2))), math.inf)
+        beside = self.moving[:, None] * _shapes(since, ahead)[self.cause, :, 0]
+        own = self.moving * _shapes(ahead, ahead)[self.cause, 0, 0] + self.still + variance
+        alone, weighed = np.einsum("mij,mj->mi", self.inverse, beside), self.inverse @ design
+        off = there - alone @ design
+        direction = np.linalg.solve(design.T @ weighed, off[:, :, None])
+        on_days = alone + (weighed @ direction)[:, :, 0]  # weights (m, days)
+        values = on_days @ (days.means - days.means[0])
+        mean = float(self.weight @ values)
+        variances = own - np.sum(alone * beside, axis=1) + np.sum(direction[:, :, 0] * off, axis=1)
+        spread = float(self.weight @ (variances + (values - mean) ** 2))
+        common = self.weight @ on_days @ days.shared - (0.0 if shared is None else shared)
+        std = math.sqrt(max(spread, 0.0) + float(np.sum(common**2)))
+        return Forecast(time, mean + float(days.means[0]), std, math.inf)
 
 
 def outlook(days: Days) -> Outlook:
-    """The models of the scatter of three days or more."""
+    """The models of the scatter of three days or more, weighted by their restricted likelihood."""
     n = days.time.size
     if n < LEAST_DAYS:
-        raise _TOO_FEW
-    since, design = days.time - days.time[0], _design(days.time)
+        raise ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
+    since, design = days.time - days.time[0], _design(days.time, days.time)
     q, _ = np.linalg.qr(design)
     about_line = np.eye(n) - q @ q.T
     left = about_line @ days.means
     size = max(float(days.variances.mean()), float(left @ left) / (n - 2))
-    models, chances = [], []
-    for cause, covariance in enumerate(CAUSES):
-        shape = covariance(since, since)
-        unit = float(np.sum(about_line * shape)) / (n - 2) or 1.0
-        shares = _SHARES if cause else (0.0,)
-        for share in shares:
-            for part in _SIZES * size:
-                still, moving = part * (1.0 - share), part * share / unit
-                factor = np.linalg.cholesky(np.diag(days.variances + still) + moving * shape)
-                chances.append(_log_likelihood(factor, design, days.means) - math.log(len(shares)))
-                models.append((cause, still, moving, factor))
-    weights = np.exp(np.array(chances) - max(chances))
-    weights[weights < _LEAST_WEIGHT * weights.sum()] = 0.0
-    weighted = zip(models, (weights / weights.sum()).tolist(), strict=True)
-    return Outlook(days, tuple(_Model(*model, weight) for model, weight in weighted if weight > 0.0))
+    shapes = _shapes(since, since)
+    units = np.sum(about_line * shapes, axis=(1, 2)) / (n - 2)
+    units[0] = 1.0  # nothing walks
+    kinds = [(cause, share, 1.0 / len(shares)) for cause, shares in enumerate(_WALKS) for share in shares]
+    cause, share, before = (np.repeat(column, _SIZES.size) for column in zip(*kinds, strict=True))
+    part = np.tile(_SIZES * size, len(kinds))
+    still, moving = part * (1.0 - share), part * share / units[cause]
+    covariance = moving[:, None, None] * shapes[cause] + (days.variances + still[:, None])[:, None] * np.eye(n)
+    factor = np.linalg.cholesky(covariance)
+    whitened = np.linalg.solve(factor, np.column_stack([design, days.means - days.means[0]]))
+    r = np.abs(np.linalg.qr(whitened, mode="r"))
+    chance = np.log(before) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    chance -= np.log(r[:, 0, 0] * r[:, 1, 1]) + 0.5 * r[:, 2, 2] ** 2
+    weight = np.exp(chance - chance.max())
+    kept = weight >= _LEAST_WEIGHT * weight.sum()
+    weight = weight[kept] / weight[kept].sum()
+    return Outlook(days, cause[kept], still[kept], moving[kept], weight, np.linalg.inv(covariance[kept]))
 
 
-def _design(time: Array) -> Array:
-    return np.column_stack([np.ones(time.size), (time - time.mean()) / np.ptp(time)])
+def _shapes(a: Array, b: Array) -> Array:
+    """Covariance (3, n, m) of each cause between days at times ``a`` (n,) and ``b`` (m,) since the first one."""
+    least, most = np.minimum.outer(a, b), np.maximum.outer(a, b)
+    return np.stack([0.0 * least, least, least**2 * (3.0 * most - least) / 6.0])
 
 
-def _log_likelihood(factor: Array, design: Array, values: Array) -> float:
-    whitened = np.linalg.solve(factor, np.column_stack([design, values - values.mean()]))
-    r: Array = np.linalg.qr(whitened, mode="r")  # type: ignore[assignment]
-    log_size = np.sum(np.log(np.diag(factor))) + np.sum(np.log(np.abs(np.diag(r)[:2])))
-    return -float(log_size) - 0.5 * float(r[2, 2] ** 2)
+def _design(days: Array, time: Array) -> Array:
+    """Columns (n, 2) of a line about the middle of the days, at times (n,)."""
+    return np.column_stack([np.ones(time.size), (time - days.mean()) / np.ptp(days)])
