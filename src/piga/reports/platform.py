@@ -296,7 +296,9 @@ def _lines_sentence(c: ModelComparisonRun, which: Case, day: int) -> str:
     parts += [f"Model {m} removes {fixed(share, 1)} % of it." for m, share in removed.items()]
     if (theory := c.models[shown].theory) is not None:
         ratio = float(getattr(theory, which)["east_velocity"][-1]) / left
-        parts.append(f"The closed form for {name} is {signed(100.0 * (ratio - 1.0), 2)} % off what was navigated.")
+        parts.append(
+            f"The closed form for {name} is {signed(100.0 * (ratio - 1.0), 2)} % off what was navigated."
+        )
     return " ".join(parts)
 
 
