@@ -1,8 +1,8 @@
 """Simulated tests with constant force in each segment, and the Cramer-Rao bound of their coefficients.
 
-One step of the motion is a closed form. It shares no code with piga. A random walk is part of the motion. White noise and
-counting belong to the reading. The gimbal starts at a random angle in every segment. The cases of the accuracy page are in
-``benchmarks/cases``.
+One step of the motion is a closed form. Motion and noise are computed without piga; units and the record are piga's. A
+random walk is part of the motion. White noise and counting belong to the reading. The gimbal starts at a random angle in every
+segment. The cases of the accuracy page are in ``benchmarks/cases``.
 """
 
 from __future__ import annotations

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
+from dataclasses import replace
 from functools import cache
 
 import pytest
+
+import piga
 
 from .pages import DOCS, ROOT
 
@@ -36,12 +39,23 @@ def texts() -> tuple[str, ...]:
     return tuple(words(node) for tree in trees for node in ast.walk(tree) if isinstance(node, kinds))
 
 
-def said(message: str) -> bool:
-    """True if one text of the package holds the message; ``...`` is what differs."""
-    pattern = re.compile(".*".join(map(re.escape, message.split("..."))), re.DOTALL | re.IGNORECASE)
-    return any(pattern.search(text) for text in texts())
+def held(message: str, text: str) -> bool:
+    """True if a text holds the message; ``...`` is what differs."""
+    pattern = ".*".join(map(re.escape, message.split("...")))
+    return re.search(pattern, text, re.DOTALL | re.IGNORECASE) is not None
 
 
 @pytest.mark.parametrize("message", messages())
 def test_a_message_is_one_of_the_program(message: str) -> None:
-    assert said(message)
+    assert any(held(message, text) for text in texts())
+
+
+def test_the_refusals_that_users_meet_are_explained() -> None:
+    run = piga.example_run()
+    with pytest.raises(piga.PigaError) as confounded:
+        piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k_YY"])
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
+    with pytest.raises(piga.PigaError) as phaseless:
+        piga.compensate(replace(run, labels=tuple(f"part {label}" for label in run.labels)), calibration)
+    for refusal in (confounded, phaseless):
+        assert any(held(message, str(refusal.value)) for message in messages()), str(refusal.value)
