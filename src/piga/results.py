@@ -116,7 +116,16 @@ class Result(ByValue, Shown):
 
 
 class Reported(Shown):
-    """Base of results that have a summary and a report page."""
+    """Base of results that have a summary and a report page. Its ``repr`` is the title and the tiles of the summary."""
+
+    def heading(self) -> str:
+        """The title of the summary."""
+        return str(self._subject().brief(self).title)
+
+    def in_brief(self) -> list[tuple[str, str]]:
+        """The key numbers of the summary."""
+        plain = doors().pages().ascii_text
+        return [(tile.label, plain(tile.words)) for tile in self._subject().brief(self).tiles]
 
     def summary(self) -> str:
         """The summary that the command prints, as plain text."""

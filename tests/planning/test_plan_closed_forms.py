@@ -65,7 +65,7 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
         "degrees_of_freedom": pytest.approx(degrees),
         "unit": "g",
     }
-    reasons = {item.candidate.label: item.reason for item in plan.excluded}
+    reasons = {one.label: reason for one, reason in plan.excluded}
     assert set(reasons) == {"60 deg", "120 deg", "240 deg", "300 deg"}
     assert reasons["60 deg"].startswith("within 700 times the lock zone")
     assert [row["reason"] for row in document["excluded"]] == list(reasons.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import tracemalloc
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,10 +13,17 @@ import pytest
 import piga
 from piga.calibration.joint import fit_alone
 from piga.errors import ArgumentError, CalibrationError, RunFileError
-from piga.planning.candidates import Visit, candidate_of, predict, run_of
-from piga.planning.plan import _ordered, plan_mounting
+from piga.planning import candidates
+from piga.planning.candidates import (
+    Visit,
+    candidate_of,
+    find_candidates,
+    information_tables,
+    predict,
+)
+from piga.planning.plan import plan_mounting
 from piga.planning.plan_file import read_plan, request_of
-from piga.planning.search import Criterion, whole_pairs
+from piga.planning.search import Criterion, in_order, whole_pairs
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
 from piga.stand import Composite, simulate_test
@@ -92,10 +99,36 @@ def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_p
     (table,) = wish.stands
     places = [msgspec.structs.replace(table, positions=(f"{360.0 * k / count!r} deg",)) for k in range(count)]
     visits = tuple(Visit(candidate_of(wish, str(k), table), 60.0) for k, table in enumerate(places))
-    assert _ordered(request(tmp_path, plan="shuffle = false"), visits) == visits
-    ordered = _ordered(wish, visits)
+    assert in_order(request(tmp_path, plan="shuffle = false"), visits) == visits
+    ordered = in_order(wish, visits)
     step = np.abs(np.diff([int(visit.candidate.label) for visit in ordered]))
     assert (np.minimum(step, count - step) <= 1).sum() <= count / 4
+
+
+@pytest.mark.parametrize("phases", ["shared", "per-segment"])
+def test_many_candidates_are_simulated_in_several_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phases: str
+) -> None:
+    wish = request(tmp_path, positions="0:360:6 deg", terms='"scale_factor", "tan_beta", "k0"', phases=phases)
+    places, dwells = find_candidates(wish), np.array([30.0, 60.0])
+    whole = information_tables(wish, places, dwells)
+    monkeypatch.setattr(candidates, "_SAMPLES", 1500)
+    sizes, made = [], candidates.noiseless_run
+    monkeypatch.setattr(candidates, "noiseless_run", lambda *given: sizes.append(made(*given)) or sizes[-1])
+    parts = information_tables(wish, places, dwells)
+    assert max(run.size for run in sizes) < 1500 < sum(run.size for run in sizes)
+    std = [np.sqrt(np.diagonal(np.linalg.inv(one.sum(axis=0)), 0, 1, 2)) for one in (parts, whole)]
+    assert std[0] == pytest.approx(std[1], rel=0.02)
+
+
+def test_the_search_needs_memory_for_one_exchange() -> None:
+    rows = np.random.default_rng(1).normal(size=(90, 3))
+    matrices = np.einsum("ni,nj->nij", rows, rows)
+    tracemalloc.start()
+    whole_pairs(matrices, Criterion(np.eye(3), 0.0), np.full(90, 1.0 / 90.0), 60)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * matrices.nbytes
 
 
 @pytest.mark.long
@@ -115,7 +148,7 @@ def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> N
     text = path.read_text(encoding="utf-8").replace('output = "angle"', 'output = "counts"')
     path.write_text(text.replace("[truth]", "counts_per_revolution = 3600\n[truth]"), encoding="utf-8")
     wish = read_plan(path)
-    (stand,), count = wish.stands, 2.0 * math.pi / 3600
+    (stand,) = wish.stands
     angles = [f"{30 * k} deg" for k in range(12)]
     tables = [msgspec.structs.replace(stand, positions=(angle,)) for angle in angles]
     visits = tuple(Visit(candidate_of(wish, str(k), table), 275.0) for k, table in enumerate(tables))
@@ -123,9 +156,8 @@ def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> N
     motion = Composite(tuple(visit.candidate.stand(visit.dwell, wish) for visit in visits), wish.move)
     stated, errors, truth = [], [], np.array([c.value for c in predicted.coefficients])
     for seed in range(12):
-        log = simulate_test(motion, wish.scenario.specimen, wish.scenario.electronics, seed=seed).log
-        run = run_of(wish, log.t, log.output * count, log.reference, log.base_rate, log.segment)
-        found = fit_alone(replace(run, resolution=count), request_of(wish.model), SILENT).coefficients
+        run = simulate_test(motion, wish.scenario.specimen, wish.scenario.electronics, seed=seed).to_run()
+        found = fit_alone(run, request_of(wish.model), SILENT).coefficients
         stated.append([c.std for c in found])
         errors.append(changes(predicted.coefficients, truth, np.array([c.value for c in found])))
     u = np.array([c.std for c in predicted.coefficients])

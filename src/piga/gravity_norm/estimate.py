@@ -66,7 +66,7 @@ class SetTerm(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SetCalibration(Result, Plotted, Reported):
+class SetCalibration(Reported, Plotted, Result):
     """Calibration of a set: output = bias + K (f along the axis, with its non-orthogonality).
 
     Attributes
@@ -117,10 +117,6 @@ class SetCalibration(Result, Plotted, Reported):
 
     def _subject(self) -> ModuleType:
         return doors().shown_set()
-
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return f"Calibration of the set {self.serial}"
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The terms."""

@@ -31,7 +31,7 @@ from piga.upper import doors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NoiseAnalysis(Result, Plotted, Reported):
+class NoiseAnalysis(Reported, Plotted, Result):
     """Noise of a static record.
 
     ``plot()`` shows the deviations with the levels.
@@ -70,18 +70,6 @@ class NoiseAnalysis(Result, Plotted, Reported):
 
     def _subject(self) -> ModuleType:
         return doors().shown_noise()
-
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return f"Noise of {self.source}"
-
-    def in_brief(self) -> list[tuple[str, str]]:
-        """The levels."""
-        rows = []
-        for one in self.levels:
-            size = f"{one.value:.4g}" if one.seen else f"at most {max(one.upper, -one.lower):.4g}"
-            rows.append((one.name, f"{size} {level_unit(one.name, self.unit)}"))
-        return rows
 
 
 def level_unit(name: str, unit: str) -> str:

@@ -11,12 +11,12 @@ counts is not white where the output turns evenly: what is then stated is that o
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.calibration.joint import JointFit, effects, merge_runs
 from piga.calibration.merged import Wish
@@ -34,7 +34,6 @@ from piga.errors import CalibrationError, IdentifiabilityError
 from piga.planning.plan_file import PlanRequest, request_of
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.run import Run
-from piga.records.terms import GYRO
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.profile import NONE, Stand
@@ -48,6 +47,8 @@ _COUNTED_RECORDS = 24
 """Records with counts and noise whose stated uncertainties are those of a plan (own choice)."""
 _STEP = 1e-6
 """Change of a coefficient [SI] by which the internal parameters are turned into those of the file."""
+_SAMPLES = 1 << 18
+"""Most samples of a record of candidates, moves counted: more candidates are simulated in several records."""
 
 
 @dataclass(frozen=True)
@@ -124,26 +125,6 @@ def _noise_of(request: PlanRequest) -> Noise:
             remedy="give angle_random_walk or angle_noise, e.g. from [noise] of a calibration",
         )
     return noise
-
-
-def run_of(
-    request: PlanRequest, t: Array, output: Array, f: Array, rate: Array, segment: NDArray[np.int32]
-) -> Run:
-    """A record of the planned instrument."""
-    e, servo = request.scenario.electronics, request.table.instrument.servo
-    run = Run.from_arrays(
-        t,
-        output,
-        f,
-        scale_factor=request.scenario.specimen.instrument.scale_factor,
-        kind="rate" if e.kind == "rate" else "angle",
-        base_rate=None if request.direct else rate,
-        segment=segment,
-        unit=request.unit,
-        serial=request.table.instrument.serial,
-        units="SI",
-    )
-    return run if servo is None else replace(run, servo=servo.parameters())
 
 
 def coefficient_names(request: PlanRequest) -> tuple[str, ...]:
@@ -232,6 +213,30 @@ def _reduced(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Design, s
     return design, mode, bare_summary("", wish, design, noise, reduce_positions(design, mode, noise))
 
 
+def _reduced_in_parts(request: PlanRequest, visits: tuple[Visit, ...]) -> RunSummary:
+    """Summary of a noiseless test in several records, so that many candidates need little memory."""
+    longest = max(visit.dwell for visit in visits) + request.move
+    wanted = math.ceil(len(visits) * longest / request.scenario.electronics.interval / _SAMPLES)
+    chosen = np.array_split(np.arange(len(visits)), max(min(wanted, len(visits) // 2), 1))
+    return _joined(request, [_reduced(request, tuple(visits[k] for k in one))[2] for one in chosen])
+
+
+def _joined(request: PlanRequest, parts: Sequence[RunSummary]) -> RunSummary:
+    """One summary of records with one zero of the output, one after the other."""
+    labels, positions, counted = parts[0].labels, parts[0].positions, parts[0].noise.counted
+    for part in parts[1:]:
+        start, group = positions[-1].end + request.move, 0
+        if request.model.phases != "shared":
+            group, labels = len(labels), labels + part.labels
+        positions += tuple(
+            replace(one, group=one.group + group, begin=one.begin + start, end=one.end + start)
+            for one in part.positions
+        )
+        counted += part.noise.counted
+    noise = replace(parts[0].noise, counted=counted)
+    return replace(parts[0], noise=noise, labels=labels, positions=positions)
+
+
 def _solved(request: PlanRequest, summary: RunSummary) -> JointFit:
     return merge_runs(Wish.of_one(tuple(request.model.terms)), [summary], [None])
 
@@ -246,9 +251,12 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], 
     IdentifiabilityError
         If all candidates together, each visited twice, cannot determine the terms.
     """
-    tests = [tuple(Visit(candidate, float(dwell)) for candidate in candidates) for dwell in dwells]
+    tests = [
+        _reduced_in_parts(request, tuple(Visit(candidate, float(dwell)) for candidate in candidates))
+        for dwell in dwells
+    ]
     try:
-        fit = _solved(request, _reduced(request, 2 * tests[0])[2])
+        fit = _solved(request, _joined(request, 2 * tests[:1]))
     except IdentifiabilityError as error:
         raise IdentifiabilityError(_of_plan(error), remedy=error.remedy) from None
     m = len(coefficient_names(request))
@@ -258,8 +266,8 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], 
         [fit.moved(step * row)[common] / step for row in np.eye(fit.estimate.parameters)[:m]]
     ).T
     tables = np.empty((len(candidates), len(dwells), m, m))
-    for k, visits in enumerate(tests):
-        once = replace(fit, summaries=(_reduced(request, visits)[2],))
+    for k, summary in enumerate(tests):
+        once = replace(fit, summaries=(summary,))
         for place, position in enumerate(once.positions(0, fit.servo)):
             factor = position.part.without((RATE,), position.variance).factor[:, :-1]
             rows = factor @ fit.estimate.jacobians[position.group]
@@ -340,14 +348,28 @@ def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:
         counter_bits=None,
     )
     log = simulate_test(stand, request.scenario.specimen, quiet).log
-    run = run_of(request, log.t, log.output, log.reference, log.base_rate, log.segment)
-    counted = e.kind == "counts" and request.unit == GYRO
+    run = Run.from_arrays(
+        log.t,
+        log.output,
+        log.reference,
+        scale_factor=request.scenario.specimen.instrument.scale_factor,
+        kind=quiet.kind,
+        base_rate=None if request.direct else log.base_rate,
+        segment=log.segment,
+        unit=request.unit,
+        serial=request.table.instrument.serial,
+        units="SI",
+    )
+    servo = request.table.instrument.servo
     return replace(
         run,
+        servo=run.servo if servo is None else servo.parameters(),
         uncertainty=request.uncertainty,
         stand=stand_table(request, visits),
         source=str(request.path),
-        resolution=2.0 * math.pi / e.counts_per_revolution if counted else 0.0,
+        resolution=2.0 * math.pi / e.counts_per_revolution
+        if e.kind == "counts" and not request.direct
+        else 0.0,
     )
 
 

@@ -14,16 +14,17 @@ sin clock)``; the margin of a mounting is the least ``|u_x|/(u_t tan(beta))`` of
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from dataclasses import dataclass, replace
-from itertools import groupby
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.errors import ArgumentError, CalibrationError
 from piga.planning.candidates import (
     Candidate,
     Prediction,
@@ -31,13 +32,12 @@ from piga.planning.candidates import (
     candidate_of,
     coefficient_names,
     find_candidates,
-    information_tables,
     predict,
     stand_table,
     whole_samples,
 )
 from piga.planning.plan_file import PlanRequest
-from piga.planning.search import LARGEST_POWER, Criterion, Search
+from piga.planning.search import CheapestTest, Search, in_order
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.records.text_files import toml_text
@@ -55,39 +55,10 @@ if TYPE_CHECKING:
 
 _STANDARD = (4, 6, 12, 24)
 """Numbers of evenly spaced positions in the standard plans."""
-_STRIDE = 0.381966
-"""Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
-_DWELLS = 6
-"""Dwells of the tables of information, from the shortest to the longest."""
-_ATTEMPTS = 20
-"""Most durations tried to reach a wanted uncertainty."""
-_LONGER = 1.2
-"""Factor on the duration after a test that the calibration would refuse."""
-
-
-@dataclass(frozen=True)
-class _Excluded:
-    """An excluded candidate and the reason."""
-
-    candidate: Candidate
-    reason: str
-
-
-@dataclass(frozen=True)
-class CheapestTest:
-    """The shortest test found that reaches the wanted uncertainties.
-
-    ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
-    uncertainty of the stand prevents it; ``refusal`` then names the uncertainty.
-    """
-
-    bound: float
-    plan: Prediction | None
-    refusal: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(Result, Plotted, Reported):
+class Plan(Reported, Plotted, Result):
     """A planned test and its comparison plans.
 
     ``plot()`` shows chosen positions and the time in each: two panels.
@@ -98,45 +69,33 @@ class Plan(Result, Plotted, Reported):
 
     request: PlanRequest
     candidates: tuple[Candidate, ...]
-    usable: tuple[Candidate, ...]
-    excluded: tuple[_Excluded, ...]
-    names: tuple[str, ...]
     largest_derivative: float
     efficiency: float
     best: Prediction
     standard: tuple[Prediction, ...]
     cheapest: CheapestTest | None
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients common to all positions."""
+        return coefficient_names(self.request)
+
+    @property
+    def usable(self) -> tuple[Candidate, ...]:
+        """Candidates that keep the margin from the lock zone."""
+        return tuple(c for c in self.candidates if not c.margin < self.request.settings.margin)
+
+    @property
+    def excluded(self) -> tuple[tuple[Candidate, str], ...]:
+        """Candidates in the lock zone or near it, each with the reason."""
+        limit, left_out = self.request.settings.margin, []
+        for candidate in (c for c in self.candidates if c.margin < self.request.settings.margin):
+            word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
+            left_out.append((candidate, f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"))
+        return tuple(left_out)
+
     def _subject(self) -> ModuleType:
         return doors().shown_plan()
-
-    def in_brief(self) -> list[tuple[str, str]]:
-        """What a notebook shows of the plan."""
-        best = self.best
-        return [
-            ("visits", ", ".join(f"{v.candidate.label}: {v.dwell:.4g} s" for v in best.visits)),
-            ("duration", f"{best.duration:.6g} s, {best.recorded:.6g} s recorded"),
-            ("efficiency", f"{100.0 * self.efficiency:.1f} % of the bound"),
-            ("left out", f"{len(self.excluded)} of {len(self.candidates)} candidates"),
-            *(
-                (f"u({name})", f"{best.std(name):.3g} {unit_of(name, self.request.unit)}")
-                for name in self.names
-            ),
-        ]
-
-
-def _criterion(request: PlanRequest, scale: Array, kind: str) -> Criterion:
-    """The criterion in scaled parameters."""
-    plan, names = request.settings, coefficient_names(request)
-    rows = np.diag(scale)
-    if kind == "c":
-        return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * scale, 1.0)
-    if kind == "wanted":
-        chosen = [names.index(n) for n in request.wanted]
-        return Criterion(rows[chosen] / np.array(list(request.wanted.values()))[:, None], LARGEST_POWER)
-    chosen = [names.index(n) for n in plan.coefficients or names]
-    sizes = np.array([request.wanted.get(n, scale[names.index(n)]) for n in names])
-    return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
 
 
 @one_thread()
@@ -156,12 +115,10 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     steps = Steps(progress, 4)
     steps("listing positions")
     candidates = find_candidates(request)
-    margin = request.settings.margin
-    excluded = tuple(_excluded(c, margin) for c in candidates if c.margin < margin)
-    usable = tuple(c for c in candidates if not c.margin < margin)
+    usable = tuple(c for c in candidates if not c.margin < request.settings.margin)
     _check(request, usable)
     steps("information of each position")
-    search = _prepare(request, usable)
+    search = Search.of(request, usable)
     steps("standard plans")
     standard = _standard(request, usable)
     if not standard:
@@ -170,27 +127,18 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
             remedy="lengthen [plan] duration, or shorten minimum_dwell or the moves",
         )
     steps("choosing visits")
-    best, value = _best(search, standard)
+    best, value = search.best(standard)
     criterion, (_, bound, derivative) = search.criterion, search.mixture
     bound -= math.log(request.duration + request.move)
     return Plan(
         request=request,
         candidates=candidates,
-        usable=usable,
-        excluded=excluded,
-        names=coefficient_names(request),
         largest_derivative=derivative * (criterion.rows.shape[0] if criterion.power == 0.0 else 1),
         efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        cheapest=_cheapest(search, best) if request.wanted else None,
+        cheapest=search.cheapest(best) if request.wanted else None,
     )
-
-
-def _excluded(candidate: Candidate, limit: float) -> _Excluded:
-    """A candidate in the lock zone or near it."""
-    word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
-    return _Excluded(candidate, f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)")
 
 
 def _check(request: PlanRequest, usable: tuple[Candidate, ...]) -> None:
@@ -213,21 +161,6 @@ def _check(request: PlanRequest, usable: tuple[Candidate, ...]) -> None:
         )
 
 
-def _prepare(request: PlanRequest, usable: tuple[Candidate, ...]) -> Search:
-    """Tables scaled by the uncertainty of equal time on all candidates; refuses confounded terms."""
-    longest = min(request.longest_dwell, request.duration)
-    dwells = np.unique(
-        [whole_samples(request, d) for d in np.geomspace(request.minimum_dwell, longest, _DWELLS)]
-    )
-    tables = information_tables(request, usable, dwells)
-    equal = tables[:, -1].mean(axis=0)
-    plain = 1.0 / np.sqrt(np.diag(equal))
-    covariance = np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)
-    scale = np.sqrt(np.diag(covariance))
-    criterion = _criterion(request, scale, request.settings.criterion)
-    return Search(request, usable, dwells, tables * np.outer(scale, scale), scale, criterion)
-
-
 def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
     """Standard plans: evenly spaced positions, or equal time on all without a dividing head."""
     head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
@@ -244,91 +177,9 @@ def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Pred
     for name, chosen in places.items():
         dwell = whole_samples(request, (request.duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
-            visits = _ordered(request, tuple(Visit(candidate, dwell) for candidate in chosen))
+            visits = in_order(request, tuple(Visit(candidate, dwell) for candidate in chosen))
             plans.append(predict(request, name, visits))
     return tuple(plans)
-
-
-def _best(search: Search, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
-    """The best test for the duration; a standard plan that keeps the margin if no test is better."""
-    request = search.request
-    planned = _search_visits(search, "planned", request.duration)
-    value = _value(search, planned)
-    for prediction in standard:
-        other = _value(search, prediction)
-        safe = all(visit.candidate.margin >= request.settings.margin for visit in prediction.visits)
-        if safe and other < value:
-            planned, value = replace(prediction, name="planned"), other
-    if not math.isfinite(value):
-        raise IdentifiabilityError(
-            planned.refusal, remedy="give the test more time, a shorter minimum_dwell, or fewer terms"
-        )
-    return planned, value
-
-
-def _value(search: Search, prediction: Prediction) -> float:
-    """The criterion of a predicted covariance."""
-    if prediction.covariance is None:
-        return math.inf
-    keep = [k for k, c in enumerate(prediction.coefficients) if c.segment is None]
-    covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(search.scale, search.scale)
-    return float(search.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
-
-
-def _search_visits(search: Search, name: str, duration: float) -> Prediction:
-    """The best test of this duration that the calibration does not refuse."""
-    for visits in search.tests(duration):
-        planned = predict(search.request, name, _ordered(search.request, visits))
-        if not planned.refusal:
-            break
-    return planned
-
-
-def _ordered(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
-    """The visits of each stand in shuffled order, unless the plan asks for that of the stand.
-
-    A slow change of the bias then moves no coefficient as a whole: the next position lies 0.38 of the test further on, as
-    near to the golden section as the number of visits allows. Where only neighbours have such a distance (4 and 6 visits), every
-    second visit comes first. The same plan has the same order.
-    """
-    if not request.settings.shuffle:
-        return visits
-    ordered: list[Visit] = []
-    for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
-        part = list(group)
-        step = max(round(_STRIDE * len(part)), 1)
-        while math.gcd(step, len(part)) > 1:
-            step += 1
-        if step < len(part) - 1:
-            ordered += [part[(step * k) % len(part)] for k in range(len(part))]
-        else:
-            ordered += [*part[::2], *part[1::2]]
-    return tuple(ordered)
-
-
-def _cheapest(search: Search, best: Prediction) -> CheapestTest:
-    """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
-    request, targets = search.request, {}
-    for name, wanted in request.wanted.items():
-        by_stand = best.by_stand(name)
-        if by_stand >= wanted:
-            refusal = (
-                f"the stand alone adds {by_stand:.2g} {unit_of(name, request.unit)} to {name}: {wanted:.2g} cannot be "
-                "reached in any time"
-            )
-            return CheapestTest(math.inf, None, refusal)
-        targets[name] = math.sqrt(wanted**2 - by_stand**2)
-    request_within = replace(request, wanted=targets)
-    search = replace(search, criterion=_criterion(request_within, search.scale, "wanted"))
-    bound = math.exp(search.mixture[1]) - request.move
-    duration = max(bound, 2.0 * request.minimum_dwell + request.move)
-    for _ in range(_ATTEMPTS):
-        plan = _search_visits(search, "cheapest", duration)
-        ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
-        if ratio <= 1.0:
-            return CheapestTest(max(bound, 0.0), plan)
-        duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
-    return CheapestTest(bound, None, "no test was found that reaches it: add positions or allow longer dwells")
 
 
 # -- mounting ---------------------------------------------------------------------------------------------------
@@ -336,35 +187,25 @@ def _cheapest(search: Search, best: Prediction) -> CheapestTest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mounting(Result):
-    """Margins of all mountings (skews, clocks). ``limit`` is the wanted one.
+    """Margins ``|u_x|/(u_t tan(beta))`` of all mountings, (skews, directions). ``limit`` is the wanted one.
 
-    ``best`` is the index of the best one. ``margin_history`` (n,) is its ``|u_x|/(u_t tan(beta))`` at times ``t`` [s];
-    ``unskewed_history`` is that of the instrument without skew.
+    ``skew`` and ``clock`` [rad] are those of the largest margin; ``clock`` is the direction about X, from Y towards Z.
+    ``margin_history`` (n,) are its margins at times ``t`` [s], ``unskewed_history`` those of the instrument without skew.
     """
 
     skews: Array
-    clocks: Array
     margins: Array
     limit: float
+    skew: float
+    clock: float
     t: Array
     margin_history: Array
     unskewed_history: Array
-    best: tuple[int, int]
-
-    @property
-    def skew(self) -> float:
-        """Best skew [rad]."""
-        return float(self.skews[self.best[0]])
-
-    @property
-    def clock(self) -> float:
-        """Direction of the best skew about X, from Y towards Z [rad]."""
-        return float(self.clocks[self.best[1]])
 
     @property
     def margin(self) -> float:
-        """Least ``|u_x|/(u_t tan(beta))`` of the best mounting."""
-        return float(self.margins[self.best])
+        """Largest margin."""
+        return float(self.margins.max())
 
     @property
     def acceptable(self) -> Array:
@@ -406,17 +247,17 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
         for name in ("skew", "clock")
     )
     margins = np.array([_ratios(u, _axes(skew, clocks), tangent).min(axis=0) for skew in skews.tolist()])
-    best = int(np.argmax(margins) // clocks.size), int(np.argmax(margins) % clocks.size)
-    axes = _axes(skews[best[0]], clocks[[best[1]]])
+    at, towards = np.unravel_index(np.argmax(margins), margins.shape)
+    skew, clock = float(skews[at]), float(clocks[towards])
     return Mounting(
         skews=skews,
-        clocks=clocks,
         margins=margins,
         limit=table.margin,
+        skew=skew,
+        clock=clock,
         t=t,
-        margin_history=_ratios(u, axes, tangent)[:, 0],
+        margin_history=_ratios(u, _axes(skew, np.array([clock])), tangent)[:, 0],
         unskewed_history=_ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
-        best=best,
     )
 
 
@@ -441,29 +282,23 @@ def _ratios(u: Array, axes: Array, tangent: float) -> Array:
 
 # -- documents --------------------------------------------------------------------------------------------------
 
-_PLAN_SCHEMA = "piga.plan/1"
 _TABLES = (
-    "instrument", "truth", "electronics", "run", "temperature", "imperfections", "model", "estimation",
-    "uncertainty",
+    "instrument", "truth", "electronics", "run", "temperature", "imperfections", "model", "estimation", "uncertainty",
 )  # fmt: skip
+"""Tables of the plan file that the scenario has, too."""
 
 
 def scenario_text(plan: Plan) -> str:
     """The planned test as a scenario file (TOML)."""
     whole = msgspec.to_builtins(plan.request.table)
-    whole["model"] = {
-        "phases": plan.request.model.phases,
-        **whole["model"],
-        "terms": list(plan.request.model.terms),
-    }
+    model = plan.request.model
+    whole["model"] = {"phases": model.phases, **whole["model"], "terms": list(model.terms)}
     if plan.request.direct:
         del whole["instrument"]["counts_per_revolution"], whole["model"]["phases"]
     tables = {name: whole[name] for name in _TABLES if whole.get(name)}
     tables["stand"] = stand_table(plan.request, plan.best.visits)
-    comment = (
-        f"# Test planned by piga {__version__} from {plan.request.path.name}: {len(plan.best.visits)} visits.\n"
-    )
-    return comment + toml_text(tables)
+    made = f"# Test planned by piga {__version__} from {plan.request.path.name}"
+    return f"{made}: {len(plan.best.visits)} visits.\n{toml_text(tables)}"
 
 
 _CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_g", "a_Z_g", "revolutions")
@@ -472,25 +307,24 @@ _CSV_COLUMNS = ("step", "begin_s", "hold_s", "stand", "position", "a_x_g", "a_Y_
 
 def program_csv(plan: Plan) -> str:
     """The program of the stand as CSV: one row a visit, in order, with the move before the next one left as a gap in time."""
-    last = -1 if plan.request.direct else None
-    begin, rows = 0.0, [",".join(_CSV_COLUMNS[:last])]
+    begin, rows = 0.0, [list(_CSV_COLUMNS)]
     for step, visit in enumerate(plan.best.visits, start=1):
-        candidate = visit.candidate
-        kind = str(msgspec.to_builtins(candidate.table)["kind"])
+        candidate, dwell = visit.candidate, visit.dwell
+        kind = str(candidate.table.__struct_config__.tag)
         force = [f"{value / G0 + 0.0:.9f}" for value in candidate.force]
-        label = f'"{candidate.label}"' if "," in candidate.label else candidate.label
-        turns = f"{visit.dwell / candidate.revolution:.4f}"
-        cells = (str(step), f"{begin:.3f}", f"{visit.dwell:.3f}", kind, label, *force, turns)
-        rows.append(",".join(cells[:last]))
-        begin += visit.dwell + plan.request.move
-    return "\n".join(rows) + "\n"
+        turns = f"{dwell / candidate.revolution:.4f}"
+        rows.append([str(step), f"{begin:.3f}", f"{dwell:.3f}", kind, candidate.label, *force, turns])
+        begin += dwell + plan.request.move
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(row[: -1 if plan.request.direct else None] for row in rows)
+    return text.getvalue()
 
 
 def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
     """The plan as one JSON document (schema ``piga.plan/1``); standard uncertainties in file units."""
     best = plan.best
     document: dict[str, Any] = {
-        "schema": _PLAN_SCHEMA,
+        "schema": "piga.plan/1",
         "criterion": plan.request.settings.criterion,
         "duration_s": best.duration,
         "recorded_s": best.recorded,
@@ -499,7 +333,7 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
             | ({} if plan.request.direct else {"revolutions": v.dwell / v.candidate.revolution})
             for v in best.visits
         ],
-        "excluded": [{"position": e.candidate.label, "reason": e.reason} for e in plan.excluded],
+        "excluded": [{"position": one.label, "reason": reason} for one, reason in plan.excluded],
         "largest_derivative": plan.largest_derivative,
         "efficiency": plan.efficiency,
         "planned": _prediction_document(plan, best),
@@ -507,7 +341,12 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
         "software": f"piga {__version__}",
     }
     if plan.cheapest is not None:
-        document["cheapest"] = _cheapest_document(plan, plan.cheapest)
+        found, bound = plan.cheapest.plan, finite(plan.cheapest.bound)
+        told: dict[str, Any] = {"refusal": plan.cheapest.refusal}
+        if found is not None:
+            visits = [{"position": v.candidate.label, "dwell_s": v.dwell} for v in found.visits]
+            told = {"duration_s": found.duration, "visits": visits}
+        document["cheapest"] = {"wanted": plan.request.wanted, "bound_s": bound} | told
     if mounting is not None:
         document["mounting"] = {
             "skew_deg": math.degrees(mounting.skew),
@@ -539,13 +378,3 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
         for name in plan.names
     }
     return entry
-
-
-def _cheapest_document(plan: Plan, cheapest: CheapestTest) -> dict[str, Any]:
-    entry: dict[str, Any] = {"wanted": plan.request.wanted, "bound_s": finite(cheapest.bound)}
-    if cheapest.plan is None:
-        return entry | {"refusal": cheapest.refusal}
-    return entry | {
-        "duration_s": cheapest.plan.duration,
-        "visits": [{"position": v.candidate.label, "dwell_s": v.dwell} for v in cheapest.plan.visits],
-    }

@@ -20,19 +20,30 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.planning.candidates import Candidate, Visit, whole_samples
+from piga.errors import IdentifiabilityError
+from piga.planning.candidates import (
+    Candidate,
+    Prediction,
+    Visit,
+    coefficient_names,
+    information_tables,
+    predict,
+    whole_samples,
+)
 from piga.planning.plan_file import PlanRequest
+from piga.records.terms import unit_of
 from piga.results import Array
 
 _GAP = 1e-6
 """Excess of the largest directional derivative over its value at the optimum that ends the search."""
 _ROUNDS = 2000
 """Most steps towards the best mixture."""
-_LARGEST_POWER = 9.0
+_SLOW_POWER = 9.0
 """Power of the criterion above which the first steps towards the best mixture are not smaller."""
 _SLOWER = 0.7
 """Factor on the power of the derivative in the steps after one that made the mixture worse."""
@@ -42,12 +53,20 @@ _RIDGE = 1e-13
 """Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
 _GUARD = 0.1
 """Share of the D-criterion of all parameters in a guarded criterion."""
-LARGEST_POWER = 64.0
+_WANTED_POWER = 64.0
 """Power that approximates the largest variance, within a factor r^(1/64)."""
 _IMPROVEMENT = 1e-7
 """Smallest improvement of the criterion that counts."""
 _NUMBERS = 8
 """Most numbers of pairs that are tried, evenly spaced on a logarithmic scale."""
+_DWELLS = 6
+"""Dwells of the tables of information, from the shortest to the longest."""
+_STRIDE = 0.381966
+"""Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
+_ATTEMPTS = 20
+"""Most durations tried to reach a wanted uncertainty."""
+_LONGER = 1.2
+"""Factor on the duration after a test that the calibration would refuse."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +132,7 @@ def best_mixture(candidates: Array, criterion: Criterion) -> tuple[Array, float,
     """
     matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
     shares = np.full(matrices.shape[0], 1.0 / matrices.shape[0])
-    bound, largest, last, power = -np.inf, np.inf, np.inf, 1.0 / (1.0 + min(criterion.power, _LARGEST_POWER))
+    bound, largest, last, power = -np.inf, np.inf, np.inf, 1.0 / (1.0 + min(criterion.power, _SLOW_POWER))
     for _ in range(_ROUNDS):
         total = np.tensordot(shares, matrices, 1)
         derivatives = np.einsum("ij,nji->n", criterion.sensitivity(total), matrices)
@@ -140,8 +159,9 @@ def whole_pairs(
     value = float(criterion.values(matrices[places].sum(axis=0)))
     while True:
         taken, first = np.unique(places, return_index=True)
-        values = criterion.values(matrices[places].sum(axis=0) - matrices[taken][:, None] + matrices)
-        at, there = np.unravel_index(np.argmin(values), values.shape)
+        total = matrices[places].sum(axis=0)
+        tried = (criterion.values(total - matrices[place] + matrices) for place in taken)
+        _, at, there = min((float(values.min()), at, int(values.argmin())) for at, values in enumerate(tried))
         moved = places.copy()
         moved[first[at]] = there
         better = float(criterion.values(matrices[moved].sum(axis=0)))
@@ -151,10 +171,23 @@ def whole_pairs(
 
 
 @dataclass(frozen=True)
+class CheapestTest:
+    """The shortest test found that reaches the wanted uncertainties.
+
+    ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
+    uncertainty of the stand prevents it; ``refusal`` then names the uncertainty.
+    """
+
+    bound: float
+    plan: Prediction | None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
 class Search:
     """Information of a visit (n, d, m, m) at each usable candidate for the ``dwells`` (d,) [s], and the criterion.
 
-    Both are in scaled parameters (``scaled = file / scale``).
+    Both are in scaled parameters (``scaled = file / scale``). The scale is the uncertainty of equal time on all candidates.
     """
 
     request: PlanRequest
@@ -164,6 +197,19 @@ class Search:
     scale: Array
     criterion: Criterion
 
+    @classmethod
+    def of(cls, request: PlanRequest, usable: tuple[Candidate, ...]) -> Search:
+        """The tables of the usable candidates; refuses confounded terms."""
+        longest = min(request.longest_dwell, request.duration)
+        steps = np.geomspace(request.minimum_dwell, longest, _DWELLS)
+        dwells = np.unique([whole_samples(request, dwell) for dwell in steps])
+        tables = information_tables(request, usable, dwells)
+        equal = tables[:, -1].mean(axis=0)
+        plain = 1.0 / np.sqrt(np.diag(equal))
+        scale = np.sqrt(np.diag(np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)))
+        criterion = _criterion(request, scale, request.settings.criterion, request.wanted)
+        return cls(request, usable, dwells, tables * np.outer(scale, scale), scale, criterion)
+
     @cached_property
     def mixture(self) -> tuple[Array, float, float]:
         """Shares of the best mixture by place, least value of the criterion for one second of test, largest derivative there."""
@@ -171,7 +217,60 @@ class Search:
         shares, *bound = best_mixture(rates.reshape(-1, *self.tables.shape[2:]), self.criterion)
         return shares.reshape(len(self.usable), -1).sum(axis=1), *bound
 
-    def tests(self, duration: float) -> Iterator[tuple[Visit, ...]]:
+    def value(self, prediction: Prediction) -> float:
+        """The criterion of a predicted covariance; infinite if there is none."""
+        if prediction.covariance is None:
+            return math.inf
+        keep = [k for k, c in enumerate(prediction.coefficients) if c.segment is None]
+        covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(self.scale, self.scale)
+        return float(self.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
+
+    def best(self, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
+        """The best test and its criterion; a standard plan that keeps the margin if no test is better."""
+        planned = self._test("planned", self.request.duration)
+        value = self.value(planned)
+        for prediction in standard:
+            other, margin = self.value(prediction), self.request.settings.margin
+            if other < value and all(visit.candidate.margin >= margin for visit in prediction.visits):
+                planned, value = replace(prediction, name="planned"), other
+        if not math.isfinite(value):
+            raise IdentifiabilityError(
+                planned.refusal, remedy="give the test more time, a shorter minimum_dwell, or fewer terms"
+            )
+        return planned, value
+
+    def cheapest(self, best: Prediction) -> CheapestTest:
+        """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
+        request, targets = self.request, {}
+        for name, wanted in request.wanted.items():
+            by_stand = best.by_stand(name)
+            if by_stand >= wanted:
+                added = f"{by_stand:.2g} {unit_of(name, request.unit)} to {name}"
+                refusal = f"the stand alone adds {added}: {wanted:.2g} cannot be reached in any time"
+                return CheapestTest(math.inf, None, refusal)
+            targets[name] = math.sqrt(wanted**2 - by_stand**2)
+        search = replace(self, criterion=_criterion(request, self.scale, "wanted", targets))
+        bound = math.exp(search.mixture[1]) - request.move
+        duration = max(bound, 2.0 * request.minimum_dwell + request.move)
+        for _ in range(_ATTEMPTS):
+            plan = search._test("cheapest", duration)
+            ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
+            if ratio <= 1.0:
+                return CheapestTest(max(bound, 0.0), plan)
+            duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
+        return CheapestTest(
+            bound, None, "no test was found that reaches it: add positions or allow longer dwells"
+        )
+
+    def _test(self, name: str, duration: float) -> Prediction:
+        """The best test of this duration [s] that the calibration does not refuse."""
+        for visits in self._tests(duration):
+            planned = predict(self.request, name, in_order(self.request, visits))
+            if not planned.refusal:
+                break
+        return planned
+
+    def _tests(self, duration: float) -> Iterator[tuple[Visit, ...]]:
         """Visits of a test of this duration [s] for several numbers of pairs, the best first."""
         request, found = self.request, []
         ends = [0.5 * (duration + request.move) / (dwell + request.move) for dwell in self.dwells[[-1, 0]]]
@@ -198,3 +297,39 @@ class Search:
         share = ((dwells - known[at - 1]) / (known[at] - known[at - 1]))[:, None, None]
         each = np.arange(len(tables))
         return (1.0 - share) * tables[each, at - 1] + share * tables[each, at]
+
+
+def _criterion(request: PlanRequest, scale: Array, kind: str, wanted: dict[str, float]) -> Criterion:
+    """The criterion in scaled parameters."""
+    plan, names = request.settings, coefficient_names(request)
+    rows = np.diag(scale)
+    if kind == "c":
+        return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * scale, 1.0)
+    if kind == "wanted":
+        chosen = [names.index(n) for n in wanted]
+        return Criterion(rows[chosen] / np.array(list(wanted.values()))[:, None], _WANTED_POWER)
+    chosen = [names.index(n) for n in plan.coefficients or names]
+    sizes = np.array([wanted.get(n, scale[names.index(n)]) for n in names])
+    return Criterion((rows / sizes[:, None])[chosen], 0.0 if kind == "D" else 1.0)
+
+
+def in_order(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ...]:
+    """The visits of each stand in shuffled order, unless the plan asks for that of the stand.
+
+    A slow change of the bias then moves no coefficient as a whole: the next position lies 0.38 of the test further on, as
+    near to the golden section as the number of visits allows. Where only neighbours have such a distance (4 and 6 visits), every
+    second visit comes first. The same plan has the same order.
+    """
+    if not request.settings.shuffle:
+        return visits
+    ordered: list[Visit] = []
+    for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):
+        part = list(group)
+        step = max(round(_STRIDE * len(part)), 1)
+        while math.gcd(step, len(part)) > 1:
+            step += 1
+        if step < len(part) - 1:
+            ordered += [part[(step * k) % len(part)] for k in range(len(part))]
+        else:
+            ordered += [*part[::2], *part[1::2]]
+    return tuple(ordered)

@@ -10,7 +10,8 @@ import numpy as np
 
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
-from piga.planning.plan import CheapestTest, Mounting, Plan
+from piga.planning.plan import Mounting, Plan
+from piga.planning.search import CheapestTest
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
@@ -41,9 +42,8 @@ def _dwell_figure(plan: Plan) -> Figure:
     labels = tuple(c.label for c in plan.candidates)
     plot.points(*_forces(plan.candidates), "candidate", "muted", text=labels)
     if plan.excluded:
-        reasons = tuple(f"{item.candidate.label}: {item.reason}" for item in plan.excluded)
-        excluded = tuple(item.candidate for item in plan.excluded)
-        plot.points(*_forces(excluded), "excluded", "warning", text=reasons)
+        reasons = tuple(f"{one.label}: {reason}" for one, reason in plan.excluded)
+        plot.points(*_forces(tuple(one for one, _ in plan.excluded)), "excluded", "warning", text=reasons)
     plot.points(*_forces(chosen), "chosen", "after", text=named)
     dwells = [visit.dwell for visit in plan.best.visits]
     visits = Axis("visit", "1", limits=(0.5, len(chosen) + 0.5), names=tuple(visit.label for visit in chosen))
@@ -93,7 +93,7 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     if not plan.request.direct:
         left_out: Notice | Table = Notice("info", "No candidate is in or near the lock zone.")
         if plan.excluded:
-            rows = ((item.candidate.label, item.reason) for item in plan.excluded)
+            rows = ((one.label, reason) for one, reason in plan.excluded)
             left_out = named_values("candidate", "reason", rows, "Candidates left out.")
         shown.append(Section("Lock zone", "lock-zone", (left_out,)))
     if mounting is not None:

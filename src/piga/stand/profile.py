@@ -328,8 +328,9 @@ class Composite:
         starts = [0.0, *accumulate(lasting)][:-1]
         force, rate = np.zeros((t.size, 3)), np.zeros((t.size, 3))
         index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(starts) - 1)
+        order, edges = np.argsort(index, kind="stable"), np.cumsum(np.bincount(index, minlength=len(starts)))
         for k, part in enumerate(self.parts):
-            rows = np.flatnonzero(index == k)
+            rows = order[edges[k - 1] if k else 0 : edges[k]]
             if rows.size == 0:
                 continue
             local, end = t[rows] - starts[k], part.segments()[-1].stop

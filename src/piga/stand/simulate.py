@@ -106,7 +106,7 @@ class Log(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulatedTest(Result, Plotted, Reported):
+class SimulatedTest(Reported, Plotted, Result):
     """A simulated test: the log, and the truth on the fine grid of the simulation.
 
     ``plot()`` shows specific force and base rate of the reference: two panels.
