@@ -29,8 +29,8 @@ _SETTLED = 1e-10
 """Change of the phase [rad] that ends the iteration."""
 _NEAR = 1e-4
 """Share of a standard uncertainty within which the iteration may end."""
-_SCAN = 72
-"""Trial phases before the first step, if one phase serves the whole record."""
+_SCAN = 24
+"""Trial phases before the first step, if one phase serves the whole record: six in a wave of the cost."""
 _SEEN = 4.0
 """Least ratio of tan_beta to its uncertainty for a phase that depends on the coupling; below it the phase is fixed."""
 _SEPARATE = 1e-3

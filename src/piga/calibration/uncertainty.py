@@ -46,7 +46,7 @@ _TRIALS = 200_000
 _RESOLVED = 0.02
 """Least tolerance [u]: three standard deviations of such an end."""
 _QUANTILES = 4000
-"""Quantiles of the scatter between which the trials are interpolated."""
+"""Quantiles of the scatter, equally likely."""
 _SEED = 101
 """Fixed seed: the same record gives the same digits."""
 _DOUBTFUL = 6.0
@@ -326,10 +326,10 @@ def propagate_distributions(
     values, vectors = np.linalg.eigh(covariance)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = rng.standard_normal((trials, base.size)) @ factor.T
-    quantile, grid = rng.uniform(size=trials), np.linspace(0.0, 1.0, _QUANTILES + 2)[1:-1]
+    level, above = rng.integers(_QUANTILES, size=trials), (np.arange(_QUANTILES) + 0.5) / _QUANTILES
     for column, own in enumerate(np.broadcast_to(degrees, base.size)):
         if math.isfinite(own):
-            draws[:, column] *= np.interp(quantile, grid, np.sqrt(own / chdtri(own, 1.0 - grid)))
+            draws[:, column] *= np.sqrt(own / chdtri(own, above))[level]
     for change, shape, own in sources:
         draws += source_draws(len(change), shape, own, trials, rng) @ change
     ordered = np.sort(results(base + draws), axis=0)

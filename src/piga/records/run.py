@@ -185,9 +185,13 @@ class Run(Result, Plotted, Reported, Tabular):
             ("terms", " ".join(self.model.terms)),
         ]
 
+    @cached_property
+    def _edges(self) -> tuple[int, ...]:
+        return (0, *(1 + np.flatnonzero(np.diff(self.segment_index))).tolist(), self.size)
+
     def segment_edges(self) -> NDArray[np.int64]:
         """First sample of each segment, then the number of samples."""
-        return np.r_[0, 1 + np.flatnonzero(np.diff(self.segment_index)), self.size].astype(np.int64)
+        return np.array(self._edges, dtype=np.int64)
 
     @classmethod
     def from_arrays(
