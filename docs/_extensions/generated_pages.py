@@ -1,4 +1,4 @@
-"""Reference pages made from the code when the site is built: API, command line, files, schemas.
+"""Reference pages made from the code when the site is built: API, command line, files, JSON.
 
 They are written to ``docs/reference/generated``, which git ignores.
 """
@@ -60,7 +60,6 @@ def write_pages(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     own = {
         "cli": cli_page(),
-        "schemas": schema_page(),
         "json": json_page(),
         "terms": terms_page(),
         "methods": methods_page(),
@@ -335,22 +334,6 @@ def methods_page() -> str:
 
 
 # --- schemas -------------------------------------------------------------------------------------------
-
-
-def schema_page() -> str:
-    """Every JSON schema that ships with the package."""
-    folder = Path(piga.__file__).parent / "records" / "schema"
-    parts = ["# Schemas of results\n\nJSON Schema files ship in `piga/records/schema`.\n"]
-    for path in sorted(folder.glob("*.json")):
-        schema = json.loads(path.read_text(encoding="utf-8"))
-        rows = ["| member | type | meaning |", "|---|---|---|"]
-        rows += [f"| `{where}` | {kind} | {words} |" for where, kind, words in schema_rows(schema, schema, "")]
-        parts.append(
-            f"## {path.name}\n\n{schema.get('description', schema.get('title', ''))}\n\n"
-            + "\n".join(rows)
-            + "\n"
-        )
-    return "\n".join(parts)
 
 
 def json_page() -> str:

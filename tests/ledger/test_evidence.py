@@ -115,7 +115,7 @@ def test_absolute_data_file_is_refused(tmp_path: Path) -> None:
 
 
 def profile_run(folder: Path) -> Path:
-    """A record whose reference is a logged profile, with a ``.sha256`` beside its data."""
+    """A record whose reference is a logged profile."""
     run = small_run(folder)
     text = run.read_text().replace('reference = { columns = ["fx", "fy", "fz"], unit = "g" }\n', "")
     columns = 'time = { column = "t", unit = "s" }, force = { columns = ["fx", "fy", "fz"], unit = "g" }'
@@ -126,23 +126,19 @@ def profile_run(folder: Path) -> Path:
         f'[stand]\nkind = "profile"\nfile = "stand/p.csv"\n{columns.replace(", force", chr(10) + "force")}\n'
     )
     run.write_text(f"{text}\n{composite}")
-    digest = hashlib.sha256((folder / "run.csv").read_bytes()).hexdigest()
-    (folder / "run.csv.sha256").write_text(f"{digest}  run.csv\n")
     return run
 
 
 def test_every_input_has_its_digest_in_the_result(tmp_path: Path) -> None:
     run = profile_run(tmp_path)
     digests = piga.calibrate(piga.read_run(run), ["scale_factor"]).provenance.input_sha256
-    files = ("run.toml", "run.csv", "run.csv.sha256", "stand/p.csv")
+    files = ("run.toml", "run.csv", "stand/p.csv")
     assert digests == {name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() for name in files}
     roles = [(file.role, file.name) for file in input_files(run, digests)]
-    assert roles == [
-        ("run", "run.toml"), ("data", "run.csv"), ("stand", "stand/p.csv"), ("sidecar", "run.csv.sha256"),
-    ]  # fmt: skip
+    assert roles == [("run", "run.toml"), ("data", "run.csv"), ("stand", "stand/p.csv")]
 
 
-@pytest.mark.parametrize("name", ["run.toml", "run.csv", "run.csv.sha256", "stand/p.csv"])
+@pytest.mark.parametrize("name", ["run.toml", "run.csv", "stand/p.csv"])
 def test_an_input_that_changes_before_the_record_is_written_is_refused(tmp_path: Path, name: str) -> None:
     """Between calibration and record (while the report is drawn), and between calibrate and ``add --results``."""
     run = profile_run(tmp_path)

@@ -41,14 +41,11 @@ class Case:
     instrument: str = ""
     t: str = "t"
     n: str = "n"
-    sidecar: str = ""
 
     def write(self, folder: Path) -> Path:
         """Write data and run file; returns the run file."""
         folder.mkdir(parents=True, exist_ok=True)
         (folder / self.file).write_bytes(self.content)
-        if self.sidecar:
-            (folder / (self.file + ".sha256")).write_text(self.sidecar)
         run = write_run(folder, self.file, instrument=self.instrument, data=self.data)
         text = run.read_text(encoding="utf-8").replace('"t"', f'"{self.t}"').replace('"n"', f'"{self.n}"')
         run.write_text(text, encoding="utf-8")
@@ -189,7 +186,6 @@ def shape() -> list[Case]:
         error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
         error("no-gzip", b"no gzip", "cannot be read", file="run.csv.gz"),
         error("gzip-bomb", gzip.compress(whole + b"0,0,1,0,0\n" * 500_000), "unpacks to more than", file="run.csv.gz"),
-        error("sidecar-differs", whole, "SHA-256 is not the one", sidecar="0" * 64 + "  run.csv\n"),
         error("thousands-of-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "c59 and 4940 more"),
         error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),
         error("hdf5-damaged", b"\x89HDF\r\n\x1a\n" + whole, "not a readable HDF5", file="run.h5"),

@@ -155,20 +155,19 @@ def test_arrays_take_what_a_run_file_takes():
     assert any(row.source == "reference_scale" for row in calibration.budget)
 
 
-def test_a_stand_gives_the_reference_of_arrays():
+def test_a_stand_gives_the_reference_of_a_table():
     stand = {
         "kind": "dividing-head", "latitude": "40 deg", "gravity": "9.80166 m/s^2",
         "positions": {"up": "0 deg", "level": "90 deg"}, "dwell": "20 s",
     }  # fmt: skip
     t = np.arange(800) * 0.05
-    run = piga.Run.from_arrays(
-        t, 0.8 * t, None, scale_factor=SCALE, segment=np.repeat(["up", "level"], 400), stand=stand, units="SI"
+    table = {"t": t, "psi": 0.8 * t, "at": ["up"] * 400 + ["level"] * 400}
+    run = piga.Run.from_dataframe(
+        table, scale_factor=SCALE, segment="at", reference=None, stand=stand, units="SI"
     )
     assert np.linalg.norm(run.f[0]) == pytest.approx(9.80166, rel=1e-9)
     assert abs(abs(run.f[0, 0]) - abs(run.f[-1, 0])) > 9.0
     assert run.base_rate is not None
-    with pytest.raises(piga.ArgumentError, match="neither a reference nor a stand"):
-        piga.Run.from_arrays(t, t, None, scale_factor=SCALE, units="SI")
 
 
 @pytest.mark.parametrize(

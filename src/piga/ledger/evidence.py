@@ -66,15 +66,13 @@ _MAX_PAGE = 1 << 28
 
 
 def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
-    """Run file, data file, its ``.sha256`` if there is one, and the files of a ``[stand]`` table.
+    """Run file, data file, and the files of a ``[stand]`` table.
 
     Names keep their places relative to each other: a data file in ``../data`` moves the run file one folder down. ``digests``
     are those of the inputs as they were read for the calibration; the store refuses others.
     """
     run_file = read_run_file(run)
     named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]
-    if Path(f"{run_file.data.file}.sha256").name in digests:
-        named.append(("sidecar", f"{run_file.data.file}.sha256"))
     for _, name in named:
         if PurePosixPath(name).is_absolute() or Path(name).is_absolute():
             raise RunFileError(
@@ -241,9 +239,17 @@ class Comparison:
 def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
     """Compare two calibrations of the same inputs."""
     former = stored.provenance.software.startswith(_OTHER_ESTIMATOR)
-    digests = stored.provenance.input_sha256  # piga 0.1 stored those of run and data file only
-    inputs = {name: digest for name, digest in recomputed.provenance.input_sha256.items() if name in digests}
-    recomputed = replace(recomputed, provenance=replace(recomputed.provenance, input_sha256=inputs))
+    before, now = stored.provenance.input_sha256, recomputed.provenance.input_sha256
+    before = {
+        name: digest for name, digest in before.items() if not name.endswith(".sha256")
+    }  # not read any more
+    now = {
+        name: digest for name, digest in now.items() if name in before
+    }  # piga 0.1 stored run and data file only
+    stored, recomputed = (
+        replace(one, provenance=replace(one.provenance, input_sha256=inputs))
+        for one, inputs in ((stored, before), (recomputed, now))
+    )
     identical = _numbers(stored) == _numbers(recomputed)
     facts, again = _facts(stored, former), _facts(recomputed, former)
     differences = [

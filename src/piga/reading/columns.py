@@ -24,7 +24,7 @@ from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
-from piga.records.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular, read_whole
+from piga.records.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular
 from piga.results import Array
 from piga.units import conversion_factor, parse_unit, to_si
 
@@ -100,17 +100,13 @@ def file_kind(path: Path) -> str:
     return suffixes[-2] if suffixes[-1] == ".gz" and len(suffixes) > 2 else suffixes[-1]
 
 
-_MAX_SIDECAR = 1 << 16
-"""Largest ``.sha256`` file [bytes]. It holds one line: 64 digits and a file name."""
-
-
 @dataclass
 class RawColumns:
     """The columns of a file, and what was noticed while reading.
 
     ``numbers`` holds values (n,) in the units of the file by column; ``units`` those that the file states. ``segment`` (n,) is
     the index into ``labels``, -1 without one. ``rows`` (n,) are 1-based file rows; ``usable`` (n,) is False for a row that is
-    not used. ``inputs``: SHA-256 of the data file and of its ``.sha256`` file, by name.
+    not used. ``inputs``: SHA-256 of the data file by its name.
     """
 
     path: Path
@@ -184,17 +180,11 @@ class RawColumns:
 
 
 def read_columns(folder: Path, data: DataTable) -> RawColumns:
-    """Read the whole data file of a run file. It must match its ``.sha256`` and must not change while it is read."""
+    """Read the whole data file of a run file. It must not change while it is read."""
     path = folder / data.file
     with steady(path, "[data] file is relative to the run file"):
-        sidecar = _sidecar(path)
         raw = collect(path, data, open_stream(folder, data))
         raw.inputs[path.name] = file_digest(path)
-    if sidecar is not None:
-        stated, raw.inputs[f"{path.name}.sha256"] = sidecar
-        if stated != raw.inputs[path.name]:
-            words = f"its SHA-256 is not the one in {path.name}.sha256"
-            raise raw.refusal(words, "the file was damaged or changed: copy it again")
     return raw
 
 
@@ -281,13 +271,3 @@ def file_digest(path: Path) -> str:
     """SHA-256 of a file, as hexadecimal digits."""
     with open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _sidecar(path: Path) -> tuple[str, str] | None:
-    """SHA-256 of the file that ``FILE.sha256`` states, and the SHA-256 of that file itself; None if there is none."""
-    sidecar = path.with_name(path.name + ".sha256")
-    if not os.path.lexists(sidecar):
-        return None
-    raw = read_whole(sidecar, _MAX_SIDECAR, "a line with the SHA-256")
-    words = raw.decode("ascii", errors="replace").split()
-    return words[0].lower() if words else "", hashlib.sha256(raw).hexdigest()

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -198,7 +197,7 @@ class Run(Result, Plotted, Reported, Tabular):
         cls,
         t: ArrayLike,
         output: ArrayLike,
-        f: ArrayLike | None,
+        f: ArrayLike,
         *,
         scale_factor: float | str,
         units: Mapping[str, str] | Literal["SI"] | None = None,
@@ -224,7 +223,7 @@ class Run(Result, Plotted, Reported, Tabular):
         Parameters
         ----------
         t, output, f:
-            Time and output (n,), reference specific force (n, 3). ``f`` may be None with ``stand``, which then gives it.
+            Time and output (n,), reference specific force (n, 3).
         scale_factor, kind:
             Nominal K, e.g. ``"0.8884 rad/s/g"``; ``"angle"`` (unwrapped) or ``"rate"``.
         units:
@@ -255,7 +254,7 @@ class Run(Result, Plotted, Reported, Tabular):
             if base_rate is not None:
                 raise ArgumentError("base_rate: a direct instrument does not add it", remedy="leave it out")
         si, told = units == "SI", {} if units is None or isinstance(units, str) else units
-        if f is not None and not si and "f" not in told:
+        if not si and "f" not in told:
             raise ArgumentError(
                 "f: its unit is not stated", remedy="units='SI' if it is in m/s^2, or e.g. units={'f': 'g'}"
             )
@@ -271,13 +270,6 @@ class Run(Result, Plotted, Reported, Tabular):
         }
         t = arrays["t"]
         places, names = _segments(segment, t.size)
-        if f is None:
-            if stand is None:
-                raise ArgumentError("f: there is neither a reference nor a stand", remedy="give f or stand")
-            force, rate = doors().run_reference().stand_reference(stand, Path(), t, places, names)
-            arrays["f"] = np.asarray(force, order="F")
-            if unit == GYRO:
-                arrays.setdefault("base_rate", np.asarray(rate, order="F"))
         marks = np.zeros(t.size, np.bool_) if gaps is None else np.asarray(gaps, np.bool_)
         for message, remedy in _wrong_arrays(arrays, places, marks, kind):
             raise ArgumentError(message, remedy=remedy)
@@ -304,7 +296,6 @@ class Run(Result, Plotted, Reported, Tabular):
             estimation=convert_table("estimation", estimation or {}, EstimationTable),
             uncertainty=budget,
             stand=stand,
-            computed_reference=f is None,
             unit=unit,
         )
 

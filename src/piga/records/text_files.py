@@ -168,17 +168,16 @@ def _check_values(path: Path, value: object, where: str) -> None:
 def files_named_in(path: Path) -> list[Path]:
     """The TOML file and all files that it names, directly or through other TOML files. A command may read these.
 
-    Any text that is the name of a file beside the TOML file counts. The ``.sha256`` beside each file is included. A file
-    that cannot be read adds no names.
+    Any text that is the name of a file beside the TOML file counts. A file that cannot be read adds no names.
     """
     named = [path]
     for at in named:  # grows in the loop
-        near = [Path(f"{at}.sha256")]
         if at.suffix == ".toml":
             with suppress(RunFileError, OSError):
-                words = [word for word in texts_of(toml_document(at)) if word and len(word) < MAX_NAME]
-                near += [at.parent / word for word in words]
-        named += [file for file in dict.fromkeys(near) if file not in named and file.is_file()]
+                near = [
+                    at.parent / word for word in texts_of(toml_document(at)) if word and len(word) < MAX_NAME
+                ]
+                named += [file for file in dict.fromkeys(near) if file not in named and file.is_file()]
     return named
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
@@ -30,10 +28,7 @@ def document(calibration: piga.Calibration) -> dict:
 def test_schema_and_round_trip(calibration: piga.Calibration, tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     calibration.to_json(path)
-    schema = json.loads(files("piga.records").joinpath("schema/calibration-1.json").read_text())
-    jsonschema.Draft202012Validator.check_schema(schema)
     document = json.loads(path.read_text())
-    jsonschema.Draft202012Validator(schema).validate(document)
     result = piga.Calibration.from_json(path)
     assert result.coefficients == calibration.coefficients
     np.testing.assert_array_equal(result.covariance, calibration.covariance)

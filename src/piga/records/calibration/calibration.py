@@ -1,7 +1,4 @@
-"""The calibration record. Calibration writes it, compensation reads it. It is data only.
-
-JSON schema ``piga.calibration/1`` (``records/schema/calibration-1.json``).
-"""
+"""The calibration record. Calibration writes it, compensation reads it. It is data only."""
 
 from __future__ import annotations
 
