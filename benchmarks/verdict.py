@@ -11,6 +11,7 @@ import argparse
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.interpolate import CubicSpline
 
 import piga
 from piga.records.run_file import UncertaintyTable
+from piga.stand.run_reference import stand_reference
 from piga.units import ARCSEC, G0
 
 Array = NDArray[np.float64]
@@ -63,11 +65,13 @@ def nominal(stand: dict[str, Any], labels: list[str], uncertainty: dict[str, Any
     """The record of a stand as piga knows it, without an output."""
     inside = np.arange(0.0, DWELL + 0.5 * STEP, STEP)
     t = np.add.outer((DWELL + MOVE) * np.arange(len(labels)), inside).ravel()
-    segment = np.repeat(labels, inside.size)
-    return piga.Run.from_arrays(
-        t, np.zeros(t.size), None, scale_factor="0.8884 rad/s/g", segment=segment, stand=stand,
-        uncertainty=uncertainty, units="SI",
+    index = np.repeat(np.arange(len(labels), dtype=np.int32), inside.size)
+    f, base_rate = stand_reference(stand, Path(), t, index, tuple(labels))
+    run = piga.Run.from_arrays(
+        t, np.zeros(t.size), f, base_rate=base_rate, scale_factor="0.8884 rad/s/g", segment=np.repeat(labels, inside.size),
+        stand=stand, uncertainty=uncertainty, units="SI",
     )  # fmt: skip
+    return replace(run, computed_reference=True)
 
 
 def measured_by(run: piga.Run, fault: Fault, seed: int, walk: float = 2e-5) -> piga.Run:

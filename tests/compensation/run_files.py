@@ -62,7 +62,7 @@ def small_chunks(monkeypatch, rows: int) -> None:
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
     monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
-    monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", 100 * rows)
+    monkeypatch.setattr("piga.formats.text.convention.PIECE_BYTES", 100 * rows)
 
 
 def set_to_file(paths, mounted, out) -> None:

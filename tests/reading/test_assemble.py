@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 import piga
-from piga.formats.text import source as text_source
+from piga.formats.text import convention
 from piga.records import arrays
 from piga.units import G0
 from tests.records.files import events, lines, psi_steps, read, write_log, write_run
@@ -235,6 +235,6 @@ def test_any_size_of_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dat
     whole = outcome(path)
     assert isinstance(whole, str) == ("mask" not in data)
     for piece, large in ((20, 0), (77, 1 << 30), (500, 0)):
-        monkeypatch.setattr(text_source, "PIECE_BYTES", piece)
+        monkeypatch.setattr(convention, "PIECE_BYTES", piece)
         monkeypatch.setattr(arrays, "LARGE_BYTES", large)
         assert outcome(path) == whole

@@ -26,10 +26,12 @@ from piga.errors import DataError, PigaError
 from piga.formats.columns import RecordStream
 from piga.formats.text.convention import (
     COMMENT,
+    GUESSED,
     INFINITE,
     MISSING,
     NO_UNIT,
     HeadRows,
+    TextSource,
     find_format,
     joined_names,
     lines_of,
@@ -38,7 +40,6 @@ from piga.formats.text.convention import (
     units_in_names,
 )
 from piga.formats.text.reader import TextStream, is_number, split_cells
-from piga.formats.text.source import GUESSED, TextSource
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.results import Array

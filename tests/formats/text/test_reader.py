@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import piga
+from piga.formats.text.convention import MAX_HEAD
 from piga.formats.text.reader import TextStream
-from piga.formats.text.source import MAX_HEAD
 from tests.records.files import events, lines, write_run
 
 HEADER = b"t,n,fx,fy,fz\n"

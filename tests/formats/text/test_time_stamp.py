@@ -77,7 +77,7 @@ def test_zones_and_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     ]
     path = log(tmp_path, cells)
     for piece in (1 << 20, 100):
-        monkeypatch.setattr("piga.formats.text.source.PIECE_BYTES", piece)
+        monkeypatch.setattr("piga.formats.text.convention.PIECE_BYTES", piece)
         stream = TextStream(path, ("time", "n"), None, stamp=("time", "iso"))
         t = np.concatenate([chunk.numbers["time"] for chunk in stream.chunks()])
         np.testing.assert_allclose(t, 3590.5 + np.arange(20), atol=1e-9)

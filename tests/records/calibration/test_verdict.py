@@ -319,9 +319,9 @@ def test_a_height_that_is_not_stated_is_a_source_and_g_is_stated():
         x, t = np.radians(30.0 * np.arange(12)), np.arange(12.0) * 20.0
         t = (t[:, None] + np.arange(11.0)).ravel()
         rate = K * 9.80172 * np.repeat(np.cos(x), 11) + 1e-8 * np.random.default_rng(3).standard_normal(132)
-        run = piga.Run.from_arrays(
-            t, rate, None, scale_factor=K, kind="rate", segment=np.repeat(np.arange(12), 11), stand=stand | site,
-            uncertainty={"reference_scale": "1 ppm"}, units="SI",
+        run = piga.Run.from_dataframe(
+            {"t": t, "rate": rate, "at": np.repeat(np.arange(12), 11)}, output="rate", kind="rate", segment="at",
+            reference=None, stand=stand | site, scale_factor=K, uncertainty={"reference_scale": "1 ppm"}, units="SI",
         )  # fmt: skip
         return piga.calibrate(run, ["scale_factor", "k0", "m_Y"], "rate")
 

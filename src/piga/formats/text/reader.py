@@ -22,13 +22,13 @@ from piga.formats.text.convention import (
     SEPARATORS,
     HeadRows,
     TextFormat,
+    TextSource,
     check_present,
     find_format,
     lines_of,
     split_line,
     units_in_names,
 )
-from piga.formats.text.source import TextSource
 from piga.formats.text.time_stamp import StampClock, forms_of, time_stamp
 from piga.records.calibration.diagnostics import Event
 
