@@ -8,16 +8,26 @@ from __future__ import annotations
 import math
 import re
 import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime, time, timedelta
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import Fix
-from piga.formats.columns import Container, column_letter, label_text, matrix_columns, no_column, split_name
+from piga.errors import EXTRAS, DataError, Fix, PigaError, install_command
+from piga.formats.columns import (
+    MOST_LISTED,
+    REMEDIES,
+    RecordStream,
+    TableStream,
+    column_letter,
+    no_column,
+    refusal,
+)
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
@@ -31,7 +41,123 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.reader import Fault, Faults, missing_hint
 from piga.records.calibration.diagnostics import Event
-from piga.records.text_files import check_unpacked, open_regular
+from piga.records.text_files import check_unpacked, first_line, open_regular
+from piga.results import Column, arrow_table
+
+_COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
+
+
+def split_name(name: str) -> tuple[str, int | None]:
+    """``f(:,2)`` is column 2 (counted from 1, as MATLAB does) of the matrix ``f``."""
+    match = _COLUMN_OF.match(name)
+    return (match.group(1), int(match.group(2))) if match else (name, None)
+
+
+def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
+    if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
+        return [f"{name}(:,{k + 1})" for k in range(shape[1])]
+    return [name]
+
+
+def label_text(value: object) -> str:
+    """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text."""
+    if isinstance(value, np.ndarray) and value.size == 1:  # of MATLAB
+        value = value.reshape(-1)[0].item()
+    if value is None:
+        return ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", errors="replace")
+    if isinstance(value, (float, np.floating)):
+        number = float(value)
+        return "" if np.isnan(number) else str(int(number)) if number.is_integer() else repr(number)
+    return str(value).strip()
+
+
+class Container(TableStream):
+    """The named columns of a file that is read whole.
+
+    A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`read` opens the file and gives the columns to
+    :meth:`take`. ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
+    """
+
+    name = remedy = ""
+
+    def __init__(
+        self,
+        path: Path,
+        numeric: Iterable[str],
+        label: str | None = None,
+        sheet: str | None = None,
+        missing: tuple[str, ...] = (),
+    ) -> None:
+        RecordStream.__init__(self, path, numeric, label)
+        self.sheet, self.missing, self.noted = sheet, missing, list[Event]()
+        open_regular(path, "the file; [data] file is relative to the run file").close()
+        try:
+            self.read()
+        except PigaError:
+            raise
+        except ImportError as error:
+            extra = EXTRAS[str(error.name).split(".")[0]]
+            words = f"reading {self.name} needs the extra '{extra}', which is not installed"
+            raise self.refusal(words, f"install it with: {install_command(extra)}") from None
+        except MemoryError:
+            remedy = "the file is damaged, or export it as Parquet"
+            raise self.refusal("there is not enough memory to read it", remedy) from None
+        except Exception as error:  # a damaged file can raise any exception in the library
+            words = f"not a readable {self.name} file ({first_line(error)})"
+            raise self.refusal(words, self.remedy) from None
+
+    def read(self) -> None:
+        """Read the file."""
+        raise NotImplementedError
+
+    def events(self) -> list[Event]:
+        """Faults and omissions."""
+        return self.noted + super().events()
+
+    def refusal(
+        self, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
+    ) -> DataError:
+        """The error of the file: :func:`refusal`."""
+        return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
+
+    def vector(self, name: str, values: NDArray) -> NDArray:
+        """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix."""
+        plain, column = split_name(name)
+        if values.ndim == 2 and column is not None:
+            if 1 <= column <= values.shape[1]:
+                return values[:, column - 1]
+            words = f"column '{name}': the matrix has {values.shape[1]} columns"
+            raise self.refusal(words, "columns count from 1", name)
+        flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
+        if flat.ndim != 1 or column is not None:
+            words = f"'{name}' has the shape {values.shape}, a column is needed"
+            raise self.refusal(words, f"name a column of a matrix as '{plain}(:,1)'", name)
+        return flat
+
+    def take(self, column: Callable[[str], NDArray], units: Mapping[str, str]) -> None:
+        """Read the columns; ``column`` reads one."""
+        columns, first = dict[str, Column](), self.wanted[0]
+        for name in self.wanted:
+            values = column(name)
+            if name not in self.numeric:
+                values = np.array([label_text(value) for value in values.tolist()], object)
+            elif values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+                words = f"column '{name}' holds {values.dtype.name}, not numbers"
+                raise self.refusal(words, REMEDIES[1], name)
+            values = values.astype(values.dtype.newbyteorder("="), copy=False)
+            columns[name] = Column(values, units.get(name, ""))
+            if values.size != columns[first].values.size:
+                words = (
+                    f"column '{name}' has {values.size} rows, column '{first}' has {columns[first].values.size}"
+                )
+                raise self.refusal(words, "export columns that were sampled together", name, first)
+        if columns[first].values.size == 0:
+            raise self.refusal("no data row", "check that the logger wrote data")
+        TableStream.__init__(self, self.path, arrow_table(columns), self.numeric, self.label)
+
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
