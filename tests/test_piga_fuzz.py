@@ -19,8 +19,8 @@ import pytest
 import piga
 from piga.compensation.live import compensate_arrow, compensate_lines
 from piga.compensation.model import make_model
+from piga.formats.columns import ParquetStream
 from piga.formats.container import CONTAINERS
-from piga.formats.parquet import ParquetStream
 from piga.formats.text.reader import TextStream
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 from piga.records.run_file import read_run_file

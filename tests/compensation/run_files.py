@@ -60,7 +60,7 @@ def small_chunks(monkeypatch, rows: int) -> None:
     monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", rows)
     monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
-    monkeypatch.setattr("piga.formats.parquet.CHUNK_ROWS", rows)
+    monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
     monkeypatch.setattr("piga.formats.text.convention.PIECE_BYTES", 100 * rows)
 

@@ -125,7 +125,7 @@ def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
 
 def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> None:
     """Write the results. A calibration of summaries alone has no residuals to write."""
-    from piga.formats.parquet import write_residuals
+    from piga.formats.columns import write_residuals
 
     calibration.to_json(directory / "calibration.json")
     if calibration.residuals is not None:

@@ -223,7 +223,7 @@ def convert(
 
     The file holds the units and all findings.
     """
-    from piga.formats.parquet import data_table, write_run_parquet
+    from piga.formats.columns import data_table, write_run_parquet
     from piga.stand import read_run
 
     if out.suffix != ".parquet":

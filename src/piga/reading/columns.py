@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, RecordStream, refusal
+from piga.formats.columns import FileChunk, ParquetStream, RecordStream, refusal
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
@@ -81,8 +81,6 @@ def columns_stream(
 
         return TextStream(path, numeric, segment, missing=missing, **text)
     if kind in (".parquet", ".pq"):
-        from piga.formats.parquet import ParquetStream
-
         return ParquetStream(path, numeric, segment)
     from piga.formats.container import CONTAINERS
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.formats.parquet import data_table
+from piga.formats.columns import data_table
 from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from piga.errors import CalibrationError
-from piga.formats.parquet import write_residuals
+from piga.formats.columns import write_residuals
 from piga.records.calibration.calibration import Calibration, RunRecord
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.calibration.diagnostics import Outlier, Quality, Residuals

@@ -8,7 +8,7 @@ import numpy as np
 from pyarrow import parquet
 
 import piga
-from piga.formats.parquet import ParquetStream, write_residuals, write_run_parquet
+from piga.formats.columns import ParquetStream, write_residuals, write_run_parquet
 from tests.records.calibration.test_verdict import TERMS, rate_log
 
 
