@@ -71,13 +71,13 @@ def test_an_output_that_is_an_input_is_refused(
 
 
 def test_files_that_a_run_file_names(tmp_path: Path) -> None:
-    """Data, profile, sums and what a triad file leads to; names of nothing are no files."""
-    for name in ("d.csv", "d.csv.sha256", "p.csv", "c.json", "unused.csv"):
+    """Data, profile and what a triad file leads to; names of nothing are no files."""
+    for name in ("d.csv", "p.csv", "c.json", "unused.csv"):
         (tmp_path / name).write_text("x")
     (tmp_path / "r.toml").write_text('a = "d.csv"\n[stand]\nparts = [{ file = "p.csv" }]\nb = "none.csv"\n')
     (tmp_path / "t.toml").write_text('[[triad.instrument]]\nrun = "r.toml"\ncalibration = "c.json"\n')
     seen = {path.name for path in files_named_in(tmp_path / "t.toml")}
-    assert seen == {"t.toml", "r.toml", "c.json", "d.csv", "d.csv.sha256", "p.csv"}
+    assert seen == {"t.toml", "r.toml", "c.json", "d.csv", "p.csv"}
     assert files_named_in(tmp_path / "none.toml") == [tmp_path / "none.toml"]
 
 
