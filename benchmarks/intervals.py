@@ -34,6 +34,10 @@ class Plan(NamedTuple):
     bounds: int
 
 
+Tested = tuple[Outcome, np.ndarray]
+"""The numbers of a record, and the Cramer-Rao bounds of its coefficients (nan where there is none)."""
+
+
 def plans(repeats: int | None = None) -> tuple[int, list[Plan]]:
     """Seed and cases of the file."""
     document = tomllib.loads(CASES.read_text(encoding="utf-8"))
@@ -52,22 +56,23 @@ def scenarios() -> dict[str, ConstantForce | Joint]:
     return read_cases(CASES)
 
 
-def one(seed: int, plan: Plan, number: int) -> Outcome:
+def one(seed: int, plan: Plan, number: int) -> Tested:
     """Simulate and calibrate one record; its random numbers depend on seed, case and number alone."""
     test: Any = scenarios()[plan.name]
     run = test.record(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(plan.number, number))))
     calibration = test.calibrate(run)
-    bound = (
-        np.sqrt(np.diag(test.bound(run))) if number < plan.bounds and isinstance(test, ConstantForce) else None
-    )
-    return of_calibration(calibration, test.truths(calibration), bound)
+    bound = np.full(len(calibration.coefficients), np.nan)
+    if number < plan.bounds and isinstance(test, ConstantForce):
+        bound = np.sqrt(np.diag(test.bound(run)))
+    return of_calibration(calibration, test.truths(calibration)), bound
 
 
-def row(outcomes: list[Outcome]) -> dict[str, measured.Value]:
+def row(tests: list[Tested]) -> dict[str, measured.Value]:
     """The columns of a case: worst and best coefficient, bias, variance over the bound, NEES."""
-    low, high, truth, error, bound = (
+    outcomes, bound = [outcome for outcome, _ in tests], np.array([bound for _, bound in tests])
+    low, high, truth, error = (
         np.array([outcome.columns[key] for outcome in outcomes])
-        for key in ("low", "high", "truth", "deviation", "bound")
+        for key in ("low", "high", "truth", "deviation")
     )
     held = (low <= truth) & (truth <= high)
     share, spread = 100.0 * held.mean(axis=0), error.std(axis=0, ddof=1)

@@ -75,7 +75,7 @@ def build(folder: Path) -> None:
             DraftFile("data", "log/large.csv", large),
             DraftFile("report", "results/report.html", b"<p>made by hand</p>\n"),
         )
-        store.append(lambda _place: Draft("CORPUS-2", "A. Meyer", "a file in more than one part", files))
+        store.append(Draft("CORPUS-2", "A. Meyer", "a file in more than one part", files))
         import_records(store, Path("other.zip"), "A. Meyer", "benches joined")
         export_records(store, folder / "export.zip")
         (folder / "expected.json").write_text(json.dumps(expected(store), indent=1, ensure_ascii=False) + "\n")

@@ -329,6 +329,14 @@ def to_si(value: str | float, like: str, *, what: str = "quantity", unit: str | 
     return result
 
 
+def written_quantity(text: str) -> tuple[str, str]:
+    """Number and unit of a quantity as text."""
+    match = _QUANTITY.match(text)
+    if match is None:
+        raise UnitError(f"'{text}' does not begin with a number", remedy="write e.g. '20.1 degC'")
+    return match[1], match[2]
+
+
 def from_si(value: float, unit: str) -> float:
     """Number of ``unit`` in an SI value (``degC`` with its offset)."""
     return (value - offset_to_si(unit)) / parse_unit(unit).factor

@@ -12,10 +12,9 @@ from itertools import repeat
 import numba
 import numpy as np
 import pytest
-from benchmarks.intervals import Plan, one, plans, row
+from benchmarks.intervals import Plan, Tested, one, plans, row
 from scipy.stats import binom
 
-from piga.campaign.subjects import Outcome
 from tests.calibration.made.scenarios import SCENARIOS
 
 FEW = 10 if numba.config.DISABLE_JIT else 40
@@ -29,7 +28,7 @@ EXCHANGEABLE = [name for name in SCENARIOS if name != "drift"]
 """Scenarios whose positions repeat one another. With a walk of the bias in the order of the positions the rule promises less."""
 
 
-def outcomes(name: str, tests: int, workers: int = 0) -> list[Outcome]:
+def outcomes(name: str, tests: int, workers: int = 0) -> list[Tested]:
     """Simulated and calibrated records of one scenario; without workers they are computed in this process."""
     seed, every = plans()
     plan: Plan = next(plan for plan in every if plan.name == name)._replace(repeats=tests, bounds=200)
@@ -39,9 +38,9 @@ def outcomes(name: str, tests: int, workers: int = 0) -> list[Outcome]:
         return list(pool.map(one, repeat(seed), repeat(plan), range(tests), chunksize=4))
 
 
-def held(results: list[Outcome]) -> np.ndarray:
+def held(results: list[Tested]) -> np.ndarray:
     """Share of the intervals that hold, for each coefficient."""
-    low, high, truth = (np.array([r.columns[key] for r in results]) for key in ("low", "high", "truth"))
+    low, high, truth = (np.array([r.columns[key] for r, _ in results]) for key in ("low", "high", "truth"))
     return np.mean((low <= truth) & (truth <= high), axis=0)
 
 

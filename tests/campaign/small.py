@@ -49,7 +49,6 @@ scenario = "stand.toml"
 title = "Small"
 seed = 7
 repeats = 10
-bounds = 3
 records_per_shard = 4
 
 [[case]]
@@ -141,7 +140,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     """All records of the parts in order; each has its row and the lists of its coefficients' columns."""
     from pyarrow import parquet
 
-    lists = ("name", "unit", "value", "u", "low", "high", "truth", "deviation", "z", "bound")
+    lists = ("name", "unit", "value", "u", "low", "high", "truth", "deviation", "z")
     records: list[dict[str, Any]] = []
     for path in sorted((folder / "parts").glob("part-*")):
         for row in parquet.read_table(path).to_pylist():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import datetime as dt
+import json
 import re
 
 import pytest
@@ -125,6 +126,20 @@ def test_a_change_breaks_it(signed, keys, tmp_path, old, new):
     assert old in signed
     with pytest.raises(DataError, match="does not hold: Digest mismatch"):
         verify_signature(put(tmp_path, signed.replace(old, new, 1)), keys["ours"][1])
+
+
+def test_the_figures_of_each_segment_are_signed(keys, tmp_path):
+    """They stand in the attached record alone: a signed certificate proves them, one without a signature does not."""
+    each = calibration(phases="per-segment", with_residuals=False)
+    raw = written(sign_xml(dcc_document(complete(), each), *keys["ours"]))
+    root = etree.fromstring(raw)
+    node = root.find(".//{*}byteData[@refType='piga_calibrationRecord']/{*}dataBase64")
+    record = json.loads(base64.b64decode(node.text))
+    record["segments"][2]["rms"] *= 2.0
+    node.text = base64.b64encode(json.dumps(record).encode()).decode()
+    path = put(tmp_path, written(root))
+    with pytest.raises(DataError, match="does not hold: Digest mismatch"):
+        verify_signature(path, keys["ours"][1])
 
 
 def test_unsigned_twice_signed_and_partly_signed(cal, signed, keys, tmp_path):

@@ -101,6 +101,15 @@ def test_a_number_is_used_once(certificate, tmp_path):
     assert "Deputy head of" in (out / "certificate.html").read_text(encoding="utf-8")
 
 
+def test_the_result_of_a_set_is_named(certificate, tmp_path):
+    path = tmp_path / "set-calibration.json"
+    path.write_text('{"schema": "piga.set-calibration/1", "terms": {}}', encoding="utf-8")
+    code, _, err = certificate("issue", path, "--data", EXAMPLE, "--out", tmp_path / "o")
+    assert code == 2
+    assert f"{path}: is the set-calibration.json of a set of accelerometers, not the calibration of one" in err
+    assert "calibrate each instrument by itself" in err
+
+
 def test_options_that_belong_together(certificate, tmp_path):
     code, _, err = certificate(
         "issue", "calibration.json", "--data", EXAMPLE, "--out", tmp_path, "--key", "lab-key.pem"

@@ -87,7 +87,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
     with open_store(tmp_path / "a.sqlite", create=True) as store:
         for one in (first, second):
             files = (DraftFile("calibration", "calibration.json", calibration_to_bytes(one)),)
-            store.append(lambda _place, files=files: Draft(first.serial, "A", "r", files))  # type: ignore[misc]
+            store.append(Draft(first.serial, "A", "r", files))
     change = json.loads(ok(records, "diff", "1", "2", "--store", "a.sqlite", "--json"))["coefficients"][0]
     assert change["std"] == pytest.approx(moved.std * 2**0.5)
     assert change["ratio"] == pytest.approx(3.0 / 2**0.5)
@@ -231,7 +231,7 @@ def test_records_of_a_store(tmp_path, capsys):
             made = Draft(
                 "G-0417", "A", f"test {i}", (file,), {}, {"piga": "0"}, measured=f"{time:%Y-%m-%dT%H:%M:%SZ}"
             )
-            store.append(lambda _place, made=made: made)
+            store.append(made)
     entries = list(records_of([], str(path), "G-0417"))
     assert len(entries) == 4
     code, out, err = outcome(capsys, "records", "trend", "--store", path, "--serial", "G-0417", "--json")

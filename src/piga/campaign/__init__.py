@@ -2,8 +2,7 @@
 
 from piga.campaign.campaign_file import CampaignPlan, read_campaign
 from piga.campaign.collect import Collected, collect, document
-from piga.campaign.run import RunReport, run_campaign
-from piga.campaign.shards import Campaign, open_campaign, plan_campaign
+from piga.campaign.shards import Campaign, RunReport, open_campaign, plan_campaign, run_campaign
 
 __all__ = [
     "Campaign",

@@ -9,21 +9,24 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
-import re
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from piga.errors import RunFileError
-from piga.records.run_file import Quantity, TomlTable
-from piga.records.text_files import read_toml, toml_bytes, toml_document
+from piga.errors import ArgumentError, RunFileError, UnitError
+from piga.records.run_file import EstimationTable, ModelTable, Quantity, TomlTable, UncertaintyTable
+from piga.records.text_files import convert_table, convert_toml, read_toml, toml_bytes, toml_document
+from piga.stand.scenario import Scenario, ScenarioTable, scenario_of
+from piga.units import written_quantity
+
+if TYPE_CHECKING:
+    from piga.platform.scenario import PlatformScenario
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 Subject = Literal["stand", "platform"]
@@ -34,16 +37,14 @@ _MOST_CASES = 1_000_000
 class CampaignTable(TomlTable, frozen=True):
     """``[campaign]``: settings of the whole campaign.
 
-    ``designs`` is the number of cases that are drawn for each point of the grid (with ``[draw]``). ``bounds`` is the
-    number of records per case for which the Cramer-Rao bound is computed. ``records_per_shard``: how many records are
-    computed together. If it is not given, the planning measures it.
+    ``designs`` is the number of cases that are drawn for each point of the grid (with ``[draw]``). ``records_per_shard``:
+    how many records are computed together [default: a five-hundredth of all].
     """
 
     title: str = ""
     seed: Annotated[int, Meta(ge=0)] = 1
     repeats: Count = 1
     designs: Count = 1
-    bounds: Annotated[int, Meta(ge=0)] = 50
     records_per_shard: Count | None = None
 
 
@@ -57,7 +58,6 @@ class CaseTable(TomlTable, frozen=True):
     scenario: str | None = None
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     repeats: Count | None = None
-    bounds: Annotated[int, Meta(ge=0)] | None = None
 
 
 class DrawTable(TomlTable, frozen=True):
@@ -85,16 +85,17 @@ class CampaignFile(TomlTable, frozen=True):
 class CampaignGroup:
     """Cases whose records are judged together: one scenario at one point of the grid.
 
-    ``first`` is the number of its first case, ``start`` the number of its first record.
+    ``set`` is the point of the grid, ``values`` those of the case and of the point. ``first`` is the number of the first case,
+    ``start`` the number of the first record.
     """
 
     name: str
     subject: Subject
     scenario: str
     set: dict[str, Any]
+    values: dict[str, Any]
     designs: int
     repeats: int
-    bounds: int
     first: int
     start: int
 
@@ -106,13 +107,8 @@ class CampaignGroup:
     @property
     def label(self) -> str:
         """Name and point of the grid in words."""
-        return label(self.name, self.set)
-
-
-def label(name: str, point: Mapping[str, Any]) -> str:
-    """Name of a case and point of the grid in words."""
-    words = ", ".join(f"{key} = {_shown(value)}" for key, value in point.items())
-    return f"{name}: {words}" if name and words else name or words or "all records"
+        point = ", ".join(f"{key} = {_shown(value)}" for key, value in self.set.items())
+        return ": ".join(words for words in (self.name, point) if words) or "all records"
 
 
 def _shown(value: Any) -> str:
@@ -146,18 +142,14 @@ class CampaignPlan:
         """Seed of the campaign."""
         return self.file.campaign.seed
 
-    @cached_property
+    @property
     def records(self) -> int:
         """Number of records."""
-        return sum(group.records for group in self.groups)
-
-    @cached_property
-    def _starts(self) -> list[int]:
-        return [group.start for group in self.groups]
+        return self.groups[-1].start + self.groups[-1].records
 
     def record(self, number: int) -> RecordName:
         """A record by its number."""
-        group = self.groups[bisect.bisect_right(self._starts, number) - 1]
+        group = self.groups[bisect.bisect_right(self.groups, number, key=lambda group: group.start) - 1]
         design, repeat = divmod(number - group.start, group.repeats)
         return RecordName(number, group, group.first + design, repeat)
 
@@ -165,7 +157,9 @@ class CampaignPlan:
         """A record by case and repeat."""
         for group in self.groups:
             if group.first <= case < group.first + group.designs and 0 <= repeat < group.repeats:
-                return self.record(group.start + (case - group.first) * group.repeats + repeat)
+                return RecordName(
+                    group.start + (case - group.first) * group.repeats + repeat, group, case, repeat
+                )
         raise RunFileError(
             f"{self.path}: there is no record of case {case}, repeat {repeat}",
             remedy=f"cases count from 0 to {sum(g.designs for g in self.groups) - 1}, repeats from 0",
@@ -174,48 +168,63 @@ class CampaignPlan:
     def document(self, record: RecordName) -> dict[str, Any]:
         """The scenario of a record: the file with the values of the case, of the grid and of the draw."""
         document = deepcopy(self.documents[record.group.scenario])
-        case = next((c for c in self.file.case if c.name == record.group.name), None)
-        for key, value in (case.set if case else {}).items():
-            _replace_value(document, key, value)
-        for key, value in record.group.set.items():
+        for key, value in record.group.values.items():
             _replace_value(document, key, value)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(record.case,)))
         for key, table in self.file.draw.items():
-            _replace_value(document, key, _drawn(table, rng))
+            try:
+                _replace_value(document, key, _drawn(table, rng))
+            except (ValueError, UnitError) as error:
+                raise RunFileError(f"[draw] {key}: {error}", remedy="correct the entry") from None
         return document
 
-    def sequence(self, record: RecordName) -> np.random.SeedSequence:
-        """Random numbers of a record: the same on every machine, in every order."""
-        return np.random.SeedSequence(self.seed, spawn_key=(record.case, record.repeat))
+    def scenario(self, record: RecordName) -> Scenario | PlatformScenario:
+        """The scenario of a record, ready to run."""
+        path, document = self.path.parent / record.group.scenario, self.document(record)
+        try:
+            if record.group.subject == "stand":
+                return _stand(path, document)
+            from piga.platform.scenario import scenario_of_document
+
+            return scenario_of_document(path, document)
+        except (ArgumentError, UnitError) as error:
+            raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+
+    def seed_of(self, record: RecordName) -> int:
+        """Seed of a record, as ``piga simulate --seed`` takes it: the same on every machine, in every order."""
+        sequence = np.random.SeedSequence(self.seed, spawn_key=(record.case, record.repeat))
+        return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _stand(path: Path, document: dict[str, Any]) -> Scenario:
+    table = convert_toml(path, document, ScenarioTable)
+    for part, kind in (
+        ("model", ModelTable),
+        ("estimation", EstimationTable),
+        ("uncertainty", UncertaintyTable),
+    ):
+        convert_table(part, getattr(table, part), kind)
+    if table.truth.get("k1"):
+        raise ArgumentError(
+            "[truth] k1: a calibration cannot separate it from the scale factor",
+            remedy="leave it out, or change scale_factor",
+        )
+    return scenario_of(path, table)
 
 
 def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
     """Set a value of a TOML document by its dotted key. Missing tables are made. A number selects an entry of a list."""
     *tables, last = key.split(".")
     at: Any = document
-    for name in tables:
-        at = at[int(name)] if isinstance(at, list) else at.setdefault(name, {})
-        if not isinstance(at, (dict, list)):
-            raise KeyError(name)
-    if isinstance(at, list):
-        at[int(last)] = value
-    else:
-        at[last] = value
-
-
-# --- drawing -----------------------------------------------------------------------------------------
-
-
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)", re.DOTALL)
-
-
-def _number(value: Quantity) -> tuple[float, str]:
-    if not isinstance(value, str):
-        return float(value), ""
-    match = _NUMBER.fullmatch(value)
-    if match is None:
-        raise ValueError(f"'{value}' does not begin with a number")
-    return float(match[1]), match[2].strip()
+    try:
+        for name in tables:
+            at = at[int(name)] if isinstance(at, list) else at.setdefault(name, {})
+        at[int(last) if isinstance(at, list) else last] = value
+    except (AttributeError, IndexError, TypeError, ValueError):
+        raise RunFileError(
+            f"the key '{key}' goes through a value that is not a table, or to an entry that a list lacks",
+            remedy="write the key as in the scenario file, e.g. 'twin.damping'",
+        ) from None
 
 
 def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
@@ -227,7 +236,8 @@ def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
         raise ValueError(f"a distribution '{kind}' needs {' and '.join(needed)}")
     if kind == "choice":
         return table.values[int(rng.integers(len(table.values)))]
-    (a, unit), (b, other) = map(_number, given)
+    (first, unit), (second, other) = (written_quantity(str(value)) for value in given)
+    a, b = float(first), float(second)
     if unit != other:
         raise ValueError(f"units differ: '{unit}' and '{other}'")
     if kind == "normal":
@@ -262,88 +272,71 @@ def read_campaign(path: str | Path) -> CampaignPlan:
     file = read_toml(path, CampaignFile, texts[""])
     for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
         texts[name] = toml_bytes(path.parent / name)
-    return plan_of(path, texts)
-
-
-def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
-    """The plan of a campaign whose files were read before."""
-    file = read_toml(path, CampaignFile, texts[""])
-    documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
-    plan = CampaignPlan(path, file, texts, tuple(_groups(path, file, documents)), documents)
+    plan = plan_of(path, texts)
     _check(plan)
     return plan
 
 
+def plan_of(path: Path, texts: Mapping[str, bytes]) -> CampaignPlan:
+    """The plan of a campaign whose files were read and checked before."""
+    file = read_toml(path, CampaignFile, texts[""])
+    documents = {n: toml_document(path.parent / n, raw) for n, raw in texts.items() if n}
+    return CampaignPlan(path, file, texts, tuple(_groups(path, file, documents)), documents)
+
+
 def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, Any]]) -> Iterator[CampaignGroup]:
-    if file.scenario is None and not file.case:
-        raise RunFileError(f"{path}: there is nothing to compute", remedy="give scenario or [[case]]")
-    names, settings = [case.name for case in file.case], file.campaign
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise RunFileError(f"{path}: two cases have the name '{twice}'", remedy="rename one")
-    points = [dict(zip(file.grid, values, strict=True)) for values in itertools.product(*file.grid.values())]
-    if settings.designs > 1 and not file.draw:
-        raise RunFileError(f"{path}: [campaign] designs needs [draw]", remedy="add [draw], or use repeats")
-    if max(1, len(file.case)) * len(points) * settings.designs > _MOST_CASES:
-        raise RunFileError(f"{path}: more than {_MOST_CASES} cases", remedy="make the grid coarser")
+    def refused(what: str, remedy: str) -> RunFileError:
+        return RunFileError(f"{path}: {what}", remedy=remedy)
+
+    settings, names = file.campaign, [case.name for case in file.case]
+    for name in names:
+        if names.count(name) > 1:
+            raise refused(f"two cases have the name '{name}'", "rename one")
+    for key, values in file.grid.items():
+        if not values:
+            raise refused(f"[grid] {key}: the list is empty", "give its values")
+        if key in file.draw:
+            raise refused(f"'{key}' is in [grid] and in [draw]", "leave one out")
+    if max(1, len(names)) * math.prod(map(len, file.grid.values())) * settings.designs > _MOST_CASES:
+        raise refused(f"more than {_MOST_CASES} cases", "make the grid coarser")
     first = start = 0
     for case in file.case or (CaseTable(""),):
         scenario = case.scenario or file.scenario
         if scenario is None:
-            raise RunFileError(f"{path}: case '{case.name}' has no scenario", remedy="name a scenario file")
-        subject = _subject(path, scenario, documents[scenario])
-        repeats = case.repeats or settings.repeats
-        bounds = settings.bounds if case.bounds is None else case.bounds
-        for point in points:
+            raise refused("there is nothing to compute", "give scenario, at the top or in each [[case]]")
+        subject, repeats = (
+            _subject(path.parent / scenario, documents[scenario]),
+            case.repeats or settings.repeats,
+        )
+        for values in itertools.product(*file.grid.values()):
+            point = dict(zip(file.grid, values, strict=True))
+            every = case.set | point
             yield CampaignGroup(
-                case.name, subject, scenario, point, settings.designs, repeats, bounds, first, start
+                case.name, subject, scenario, point, every, settings.designs, repeats, first, start
             )
             first, start = first + settings.designs, start + settings.designs * repeats
 
 
-def _subject(path: Path, scenario: str, document: Mapping[str, Any]) -> Subject:
+def _subject(path: Path, document: Mapping[str, Any]) -> Subject:
     if "stand" in document and "electronics" in document:
         return "stand"
     if "site" in document and "run" in document:
         return "platform"
     raise RunFileError(
-        f"{path.parent / scenario}: is not a scenario of 'piga simulate' or 'piga platform'",
+        f"{path}: is not a scenario of 'piga simulate' or 'piga platform'",
         remedy="name a scenario file; 'piga records reproduce' calibrates stored runs again",
     )
 
 
 def _check(plan: CampaignPlan) -> None:
-    """Build the first case of each scenario and each value of the grid once. Wrong keys are then refused now."""
-    from piga.campaign.subjects import built
-
-    for key, table in plan.file.draw.items():
-        try:
-            _drawn(table, np.random.default_rng(0))
-        except ValueError as error:
-            raise RunFileError(f"{plan.path}: [draw] {key}: {error}", remedy="correct the entry") from None
-    for key, values in plan.file.grid.items():
-        if not values:
-            raise RunFileError(f"{plan.path}: [grid] {key}: the list is empty", remedy="give its values")
-    overlap = sorted(set(plan.file.grid) & set(plan.file.draw))
-    if overlap:
-        raise RunFileError(f"{plan.path}: '{overlap[0]}' is in [grid] and in [draw]", remedy="leave one out")
+    """Build the first record of each case with each value of the grid once. Wrong keys are then refused now."""
     done: set[tuple[str, str, str]] = set()
     for group in plan.groups:
         settings = {(group.name, key, repr(value)) for key, value in (group.set or {"": ""}).items()}
         if settings <= done:
             continue
         done |= settings
-        record = plan.record(group.start)
-        where = group.label if group.name or group.set else "scenario"
         try:
-            document = plan.document(record)
-        except (KeyError, IndexError, ValueError) as error:
-            raise RunFileError(
-                f"{plan.path}: {where}: the key goes through '{error.args[0]}', which is not a table",
-                remedy="write the key as in the scenario file, e.g. 'twin.damping'",
-            ) from None
-        try:
-            built(plan, record, document)
+            plan.scenario(plan.record(group.start))
         except RunFileError as error:
-            text = error.message.removeprefix(f"{plan.path}: ")
-            raise RunFileError(f"{plan.path}: {where}: {text}", remedy=error.remedy) from None
+            raise RunFileError(f"{plan.path}: {group.label}: {error.message}", remedy=error.remedy) from None

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from piga.campaign.campaign_file import label
 from piga.campaign.shards import Campaign, read_part
 from piga.errors import PigaError
 from piga.results import Array
@@ -35,16 +34,13 @@ SURE = 3.29
 WORST = 12
 """Number of worst cases that are kept."""
 
-EDGES = np.linspace(-5.0, 5.0, 41)
-"""Edges of the histogram of errors over standard uncertainties; values beyond are counted in the outer bins."""
-
 
 class CampaignCoefficient(msgspec.Struct, frozen=True):
     """The figures of one coefficient or quantity in one group; what is not known is None.
 
     ``coverage_std_error`` is that of a binomial share. ``bias`` is the mean error, ``spread`` the standard deviation of the errors,
-    both in ``unit``. ``variance_over_bound`` is the variance of the errors over that of Cramer and Rao. ``nees`` is
-    the mean square of the errors over standard uncertainties, ``nees_expected`` its expected value for Student's t.
+    both in ``unit``. ``nees`` is the mean square of the errors over standard uncertainties, ``nees_expected`` its expected value
+    for Student's t.
     For quantities without truth, ``mean``, ``std``, ``lowest`` and ``highest`` describe the results.
     """
 
@@ -62,8 +58,6 @@ class CampaignCoefficient(msgspec.Struct, frozen=True):
     bias_over_sigma: float | None = None
     spread: float | None = None
     rms_u: float | None = None
-    half_width_over_sigma: float | None = None
-    variance_over_bound: float | None = None
     nees: float | None = None
     nees_expected: float | None = None
     largest_z: float | None = None
@@ -112,6 +106,7 @@ class GroupResult(msgspec.Struct, frozen=True):
     """
 
     name: str
+    label: str
     set: dict[str, Any]
     subject: str
     planned: int
@@ -121,11 +116,6 @@ class GroupResult(msgspec.Struct, frozen=True):
     nees_expected: float | None
     seen: dict[str, float]
     coefficients: tuple[CampaignCoefficient, ...]
-
-    @property
-    def label(self) -> str:
-        """Name and point of the grid in words."""
-        return label(self.name, self.set)
 
 
 class _WorstCase(msgspec.Struct, frozen=True):
@@ -151,7 +141,7 @@ class _Failure(msgspec.Struct, frozen=True):
 
 
 class Collected(msgspec.Struct, frozen=True):
-    """A whole campaign, judged. ``errors`` is the histogram of all errors over standard uncertainties, at ``EDGES``."""
+    """A whole campaign, judged."""
 
     schema: str
     campaign: str
@@ -162,13 +152,12 @@ class Collected(msgspec.Struct, frozen=True):
     computed: int
     failed: int
     complete: bool
+    shards: int
     missing: tuple[int, ...]
     groups: tuple[GroupResult, ...]
     misses: tuple[Miss, ...]
     worst: tuple[_WorstCase, ...]
     failures: tuple[_Failure, ...]
-    shards: int
-    errors: tuple[int, ...]
 
 
 COLLECTED = "piga.campaign.collected/2"
@@ -177,7 +166,7 @@ COLLECTED = "piga.campaign.collected/2"
 def document(collected: Collected) -> dict[str, Any]:
     """The JSON document of ``piga campaign collect``."""
     entry: dict[str, Any] = msgspec.to_builtins(collected)
-    return {name: value for name, value in entry.items() if name not in ("shards", "errors")}
+    return entry
 
 
 def write_table(collected: Collected, path: Path) -> None:
@@ -204,7 +193,6 @@ def collect(campaign: Campaign) -> Collected:
     plan, manifest, missing = campaign.plan, campaign.manifest, campaign.missing()
     groups, z = _group_results(campaign, heads, rows), _numbers(rows, "z")
     failures = _failures(campaign, heads)
-    counts = np.histogram(np.clip(z[np.isfinite(z)], EDGES[0], EDGES[-1]), EDGES)[0]
     return Collected(
         schema=COLLECTED,
         campaign=plan.path.name,
@@ -215,13 +203,12 @@ def collect(campaign: Campaign) -> Collected:
         computed=len(heads),
         failed=sum(failure.records for failure in failures),
         complete=not missing,
+        shards=campaign.shards,
         missing=tuple(missing),
         groups=groups,
         misses=_misses(groups),
         worst=tuple(_worst(campaign, rows, np.where(np.isfinite(z), z, 0.0))),
         failures=tuple(failures),
-        shards=campaign.shards,
-        errors=tuple(int(count) for count in counts),
     )
 
 
@@ -255,7 +242,7 @@ def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tupl
         zip(*(rows.column(n).to_pylist() for n in ("group", "name", "unit")), strict=True)
     ):
         places.setdefault(key, []).append(at)
-    names = ("value", "u", "low", "high", "degrees_of_freedom", "deviation", "z", "bound")
+    names = ("value", "u", "low", "high", "degrees_of_freedom", "deviation", "z")
     numbers = {name: _numbers(rows, name) for name in names}
     figures: dict[int, list[CampaignCoefficient]] = {}
     for (index, name, unit), where in places.items():
@@ -270,6 +257,7 @@ def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tupl
         results.append(
             GroupResult(
                 name=group.name,
+                label=group.label,
                 set=group.set,
                 subject=group.subject,
                 planned=group.records,
@@ -306,10 +294,8 @@ def _coefficient(name: str, unit: str, rows: dict[str, Array]) -> CampaignCoeffi
     off, low, high = (rows[column][known] for column in ("deviation", "low", "high"))
     truth, tests, bias, spread = value[known] - off, off.size, float(off.mean()), _std(off)
     hits = int(((low <= truth) & (truth <= high)).sum())
-    share = (
-        min(max(hits, 0.5), tests - 0.5) / tests
-    )  # at 0 and 1 that of half a test: the binomial error would be 0
-    half, mean_u2, mean_bound2 = _mean(0.5 * (high - low)), _mean(rows["u"] ** 2), _mean(rows["bound"] ** 2)
+    share = min(max(hits, 0.5), tests - 0.5) / tests  # of 0 and 1 that of half a test, or its error would be 0
+    mean_u2 = _mean(rows["u"] ** 2)
     scaled = np.isfinite(rows["z"])
     z, degrees = rows["z"][scaled], rows["degrees_of_freedom"][scaled]
     return CampaignCoefficient(
@@ -324,8 +310,6 @@ def _coefficient(name: str, unit: str, rows: dict[str, Array]) -> CampaignCoeffi
         bias_over_sigma=bias / spread if spread else None,
         spread=spread,
         rms_u=None if mean_u2 is None else math.sqrt(mean_u2),
-        half_width_over_sigma=half / spread if spread and half is not None else None,
-        variance_over_bound=spread**2 / mean_bound2 if spread is not None and mean_bound2 else None,
         nees=_mean(z**2),
         nees_expected=_mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))),
         largest_z=float(np.abs(z).max()) if z.size else None,

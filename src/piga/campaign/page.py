@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from piga.campaign.collect import CHANCE, EDGES, SURE, CampaignCoefficient, Collected, GroupResult, Miss
+from piga.campaign.collect import CHANCE, SURE, CampaignCoefficient, Collected, GroupResult, Miss
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, short, signed
@@ -21,7 +21,6 @@ from piga.reports.render.page import (
     Table,
     TableOf,
     Text,
-    Tile,
     Tone,
 )
 
@@ -36,7 +35,7 @@ def campaign_page(collected: Collected) -> Page:
     seen = [result for result in collected.groups if result.seen]
     sections: list[tuple[str, str, Sequence[Content]]] = [
         ("Judgement", "judgement", judgement(collected)),
-        ("Intervals", "intervals", _intervals(judged, collected) if judged else []),
+        ("Intervals", "intervals", _intervals(judged) if judged else []),
         ("Results", "results", _tables(plain, _plain_table)),
         ("What the calibrations report", "seen", [_seen_table(seen)] if seen else []),
         ("Worst cases", "worst", [_worst_table(collected)] if collected.worst else []),
@@ -45,7 +44,6 @@ def campaign_page(collected: Collected) -> Page:
     return Page(
         title=collected.title,
         subtitle=f"{collected.computed} of {collected.records} records, from {collected.campaign}, seed {collected.seed}.",
-        tiles=_tiles(collected, judged),
         sections=tuple(Section(title, anchor, tuple(blocks)) for title, anchor, blocks in sections if blocks),
         kicker="piga · campaign",
         footer=f"Made by piga {collected.version}. {ALONE}",
@@ -99,33 +97,17 @@ def _tone(c: CampaignCoefficient) -> Tone:
     return "doubtful" if abs(c.coverage_off) > CHANCE else ""
 
 
-def _tiles(collected: Collected, judged: list[GroupResult]) -> tuple[Tile, ...]:
-    failed = collected.failed
-    tiles = [
-        Tile("Records", str(collected.computed), f"of {collected.records}", f"groups: {len(collected.groups)}"),
-        Tile("Failed", str(failed), "", "see below" if failed else "none", "doubtful" if failed else "good"),
-    ]
-    shares = [(c.coverage, c.name, r.label) for r in judged for c in r.coefficients if c.coverage is not None]
-    if shares:
-        for title, (share, name, group) in (("Lowest", min(shares)), ("Highest", max(shares))):
-            tiles.append(Tile(f"{title} coverage", f"{100 * share:.1f}", "%", f"{name}, {group}"))
-    missing = len(collected.missing)
-    tiles.append(Tile("Shards missing", str(missing), "", "", "bad" if missing else "good"))
-    return tuple(tiles)
-
-
 # --- tables ------------------------------------------------------------------------------------------
 
 _LEAD = (
     "Coverage is the share of 95 % intervals that hold the true value, with its binomial standard error. It is marked where "
-    "it is away from 95 %. Bias is the mean error over the spread of the errors. Variance / bound compares the spread with "
-    "the bound of Cramer and Rao. NEES is the mean square of the errors over their standard uncertainties. The expected "
-    "value of Student's t stands beside it."
+    "it is away from 95 %. Bias is the mean error over the spread of the errors. NEES is the mean square of the errors over "
+    "their standard uncertainties. The expected value of Student's t stands beside it."
 )
 
 
-def _intervals(judged: list[GroupResult], collected: Collected) -> list[Content]:
-    return [_LEAD, _coverage_figure(judged), *_tables(judged, _interval_table), error_figure(collected)]
+def _intervals(judged: list[GroupResult]) -> list[Content]:
+    return [_LEAD, _coverage_figure(judged), *_tables(judged, _interval_table)]
 
 
 def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -> list[Content]:
@@ -158,7 +140,6 @@ def _interval_table(result: GroupResult) -> Table:
         .number("Spread of errors", lambda c: _number(c, c.spread))
         .number("Mean error", lambda c: _number(c, c.bias))
         .number("Bias / sigma", lambda c: _or_dash(c.bias_over_sigma, lambda x: signed(x, 3)))
-        .number("Variance / bound", lambda c: _or_dash(c.variance_over_bound, "{:.2f}".format))
         .number("NEES (expected)", lambda c: _or_dash(c.nees, lambda x: f"{x:.2f} ({c.nees_expected:.2f})"))
         .number("Largest error", lambda c: _or_dash(c.largest_z, "{:.1f}".format), "u")
         .table(result.label, (note,))
@@ -254,19 +235,4 @@ def _coverage_figure(judged: list[GroupResult]) -> Figure:
             plot.points(x[chosen], share[chosen], name, role, error=error[chosen], text=names)
     return plot.caption(
         "One point for each coefficient of each group, with two standard errors. Good: the bars touch the line."
-    )
-
-
-def error_figure(collected: Collected) -> Figure:
-    """Histogram of all errors over their standard uncertainties, beside the normal distribution."""
-    counts = np.array(collected.errors, dtype=float)
-    middle, width = 0.5 * (EDGES[1:] + EDGES[:-1]), EDGES[1] - EDGES[0]
-    density = counts / max(counts.sum(), 1) / width
-    grid = np.linspace(EDGES[0], EDGES[-1], 201)
-    plot = Plot("errors", "Errors over standard uncertainties.", "error / u", "density")
-    plot.line(middle, density, "errors of all coefficients", mark="bars")
-    plot.line(grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), "normal distribution", "model")
-    return plot.caption(
-        "All coefficients of all groups. Errors beyond 5 u are in the outer bars. Good: the bars follow the curve. "
-        "With few degrees of freedom the tails are heavier, as those of Student's t."
     )

@@ -1,43 +1,54 @@
-"""The folder of a campaign: the manifest, and one part (Parquet) for each shard.
+"""A campaign on disk and on its way: the manifest, a part (Parquet) for each shard, and the run on Dask that computes them.
 
 ``manifest.json`` holds the campaign file, the scenario files, the length of a shard and the software. A shard is a range of
 records. ``parts/part-NNNNN-DIGEST.parquet`` is its result. The digest is the SHA-256 of campaign, shard number and bytes, so
-a part that was altered, copied or renamed is refused. A shard is done if its part exists. Nothing else marks it.
+a part that was altered, copied or renamed is refused. A shard is done if its part exists. Nothing else marks it: any process
+may be killed at any time, and the next run computes the shards without a part.
+
+A Dask worker runs whatever code it is sent, and an open port of this machine can be reached by all of its users. So the
+local cluster has TLS with temporary credentials, and a cluster on another machine must have TLS.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
 import os
+import queue
 import re
+import signal
 import socket
+import threading
 import time
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import msgspec
 
 from piga.campaign.campaign_file import CampaignPlan, Count, plan_of, read_campaign
 from piga.campaign.subjects import compute
-from piga.errors import DataError, PigaError
+from piga.errors import ArgumentError, DataError, PigaError, needed
 from piga.output import write_whole
-from piga.records.text_files import converted
+from piga.progress import Progress
+from piga.progress import report as report_progress
+from piga.records.text_files import converted, first_line
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 SCHEMA = "piga.campaign/2"
-MANIFEST, _PARTS, LOCK = "manifest.json", "parts", "running.lock"
+MANIFEST, _PARTS, _LOCK = "manifest.json", "parts", "running.lock"
 _PART = re.compile(r"part-(\d{5,})-[0-9a-f]{32}\.parquet")
-
-
-_SECONDS, _FEWEST = 120.0, 16
-"""How long a shard should last [s], and the shards of a short campaign, so that several workers have work."""
+_SHARDS = 500
+"""Most shards, unless the campaign file has ``records_per_shard``: a killed run loses little, and workers have work."""
 
 
 class Manifest(msgspec.Struct, frozen=True):
@@ -48,7 +59,6 @@ class Manifest(msgspec.Struct, frozen=True):
     texts: dict[str, str]
     records_per_shard: Count
     software: dict[str, str]
-    seconds_per_record: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,27 +128,21 @@ def open_campaign(folder: str | Path) -> Campaign:
     path = folder / MANIFEST
     try:
         manifest = converted(msgspec.json.decode(path.read_bytes()), Manifest)
+        texts = {name: text.encode() for name, text in manifest.texts.items()}
+        if manifest.schema == SCHEMA:
+            return Campaign(folder, manifest, plan_of(Path(manifest.campaign), texts))
     except (FileNotFoundError, NotADirectoryError):
         raise PigaError(
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
         ) from None
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise _damaged(path, str(error)) from None
-    if manifest.schema != SCHEMA:
+    except (msgspec.MsgspecError, UnicodeDecodeError, KeyError) as error:
         raise PigaError(
-            f"{path}: schema '{manifest.schema}' is not known",
-            remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
-        )
-    try:
-        plan = plan_of(Path(manifest.campaign), {name: text.encode() for name, text in manifest.texts.items()})
-    except KeyError as error:
-        raise _damaged(path, f"it lacks the file {error}") from None
-    return Campaign(folder, manifest, plan)
-
-
-def _damaged(path: Path, why: str) -> PigaError:
-    remedy = "delete it, then plan the campaign again; its parts stay"
-    return PigaError(f"{path}: is damaged ({why})", remedy=remedy)
+            f"{path}: is damaged ({error})", remedy="delete it, then plan the campaign again; its parts stay"
+        ) from None
+    raise PigaError(
+        f"{path}: schema '{manifest.schema}' is not known",
+        remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
+    )
 
 
 def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
@@ -152,71 +156,31 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
     path, folder = Path(os.path.abspath(path)), Path(folder)  # noqa: PTH100 - symbolic links stay as they are named
     plan = read_campaign(path)
     texts = {name: raw.decode("utf-8") for name, raw in plan.texts.items()}
-    wanted = Manifest(SCHEMA, str(path), texts, 1, software())
-    if (folder / MANIFEST).exists():
-        return _same(open_campaign(folder), wanted)
-    (folder / _PARTS).mkdir(parents=True, exist_ok=True)
-    size, seconds = plan.file.campaign.records_per_shard, None
-    if size is None:
-        seconds = seconds_per_record(plan)
-        size = shard_size(plan.records, seconds)
-    manifest = msgspec.structs.replace(wanted, records_per_shard=size, seconds_per_record=seconds)
-    document = msgspec.json.format(msgspec.json.encode(manifest), indent=1)
-    write_whole(folder / MANIFEST, lambda part: part.write_bytes(document))
-    return open_campaign(folder)
-
-
-def _same(campaign: Campaign, wanted: Manifest) -> Campaign:
-    has, folder = campaign.manifest, campaign.folder
-    if has.texts != wanted.texts:
+    if not (folder / MANIFEST).exists():
+        (folder / _PARTS).mkdir(parents=True, exist_ok=True)
+        size = plan.file.campaign.records_per_shard or math.ceil(plan.records / _SHARDS)
+        manifest = msgspec.json.encode(Manifest(SCHEMA, str(path), texts, size, software()))
+        write_whole(folder / MANIFEST, lambda part: part.write_bytes(msgspec.json.format(manifest, indent=1)))
+    campaign = open_campaign(folder)
+    if campaign.manifest.texts != texts:
         raise PigaError(
             f"{folder}: holds another campaign, or its files changed since it was planned",
             remedy="choose another --out",
         )
-    changed = _changed(has)
-    if changed:
-        raise PigaError(
-            f"{folder}: was begun with other software ({changed}); records of different software must not "
-            "be mixed",
-            remedy="choose another --out, or continue with the earlier software",
-        )
+    _check_software(campaign)
     return campaign
 
 
-def _changed(manifest: Manifest) -> str:
-    """The software that is another now, in words."""
-    pairs = [(name, manifest.software.get(name, ""), text) for name, text in software().items()]
-    return ", ".join(f"{name} {old[:12]} then, {new[:12]} now" for name, old, new in pairs if old != new)
-
-
-def compile_kernels(plan: CampaignPlan, number: int = 0) -> None:
-    """Compute one record, so that the kernels are compiled before the workers start. The workers then load them."""
-    with suppress(Exception):  # the record will be a row with the reason
-        compute(plan, plan.record(number))
-
-
-def seconds_per_record(plan: CampaignPlan) -> float:
-    """Processor time of a record [s]: the mean of the last ones of the first and the last group; kernels are compiled before.
-
-    The last repeats have no bound of Cramer and Rao. That bound takes far longer than the record itself.
-    """
-    spent = []
-    for group in (plan.groups[0], plan.groups[-1]):
-        last = group.start + group.records - 1
-        compile_kernels(plan, last)
-        start = time.process_time()
-        compile_kernels(plan, last)
-        spent.append(time.process_time() - start)
-    return max(sum(spent) / len(spent), 1e-6)
-
-
-def shard_size(records: int, seconds: float) -> int:
-    """Records of a shard: 1, 2 or 5 times a power of ten, for shards of ``_SECONDS``, and at least ``_FEWEST`` shards."""
-    wanted = min(_SECONDS / seconds, max(1.0, records / _FEWEST))
-    if wanted <= 1.0:
-        return 1
-    power = 10 ** math.floor(math.log10(wanted))
-    return next(step * power for step in (5, 2, 1) if step * power <= wanted)
+def _check_software(campaign: Campaign) -> None:
+    """Refuse a campaign that was begun with other software."""
+    pairs = [(name, campaign.manifest.software.get(name, ""), text) for name, text in software().items()]
+    changed = ", ".join(f"{name} {old[:12]} then, {new[:12]} now" for name, old, new in pairs if old != new)
+    if changed:
+        raise PigaError(
+            f"{campaign.folder}: was begun with other software ({changed}); records of different software must not "
+            "be mixed",
+            remedy="choose another --out, or continue with the earlier software",
+        )
 
 
 # --- computing a shard: the task of a worker ---------------------------------------------------------
@@ -224,7 +188,15 @@ def shard_size(records: int, seconds: float) -> int:
 
 def run_shard(folder: str, shard: int) -> tuple[int, int, float]:
     """Compute a shard and write its part: records, failed records, processor time [s]. A part that is there stays."""
-    campaign = _opened(folder)
+    try:
+        campaign = open_campaign(folder)
+        _check_software(campaign)
+    except PigaError as error:
+        raise PigaError(
+            f"worker {socket.gethostname()}: {error.message}",
+            remedy="every worker needs the folder at the same path (a shared disk), and the same version of piga and its "
+            "packages",
+        ) from None
     if shard in campaign.parts():
         return 0, 0, 0.0
     began = time.process_time()
@@ -232,25 +204,6 @@ def run_shard(folder: str, shard: int) -> tuple[int, int, float]:
     rows = [row for number in numbers for row in _rows(campaign, number)]
     _write_part(campaign, shard, rows)
     return len(numbers), sum(bool(row.get("error_class")) for row in rows), time.process_time() - began
-
-
-def _opened(folder: str) -> Campaign:
-    """The campaign; refused if this worker has other software."""
-    host = socket.gethostname()
-    try:
-        campaign = open_campaign(folder)
-    except PigaError as error:
-        raise PigaError(
-            f"worker {host}: {error.message}",
-            remedy="every worker needs the folder of the campaign at the same path: use a shared disk",
-        ) from None
-    changed = _changed(campaign.manifest)
-    if changed:
-        raise PigaError(
-            f"worker {host}: has other software than the campaign ({changed})",
-            remedy="install the same version of piga and its packages on every machine",
-        )
-    return campaign
 
 
 def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
@@ -268,7 +221,7 @@ def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
     except Exception as error:
         head["error_class"], head["error"] = type(error).__name__, (str(error) or repr(error))[:2000]
     else:
-        head |= {name: getattr(outcome, name) for name in ("nees", "nees_expected", "notes", "seen")}
+        head |= {name: getattr(outcome, name) for name in ("nees", "nees_expected", "seen")}
         rows = [place | row for row in outcome.rows()]
     head["seconds"] = time.process_time() - began
     return [head, *rows]
@@ -278,12 +231,12 @@ def _part_schema() -> pa.Schema:
     """Columns of a part. Rows without a name are records, the others their coefficients."""
     import pyarrow as pa
 
-    whole, number, text, texts = pa.int64(), pa.float64(), pa.string(), pa.list_(pa.string())
+    whole, number, text = pa.int64(), pa.float64(), pa.string()
     types = {
         "record": whole, "case": whole, "repeat": whole, "name": text, "unit": text, "value": number, "u": number,
         "low": number, "high": number, "degrees_of_freedom": number, "truth": number, "deviation": number, "z": number,
-        "bound": number, "error_class": text, "error": text, "nees": number, "nees_expected": number, "notes": texts,
-        "seen": texts, "seconds": number,
+        "error_class": text, "error": text, "nees": number, "nees_expected": number, "seen": pa.list_(text),
+        "seconds": number,
     }  # fmt: skip
     return pa.schema(list(types.items()))
 
@@ -318,3 +271,209 @@ def read_part(campaign: Campaign, shard: int, path: Path) -> pa.Table:
     # read_table scans in threads that outlive the call; one that lets go of `content` while Python ends aborts the process
     with parquet.ParquetFile(pa.BufferReader(content), pre_buffer=False) as source:
         return source.read(use_threads=False)
+
+
+# --- running -----------------------------------------------------------------------------------------
+
+_POLL = 0.5
+"""Time between two reports of the progress [s]."""
+_CONNECT = 20.0
+"""Longest time to wait for the scheduler and its first worker [s]."""
+_THREADS = ("OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM", "NUMBA_NUM")
+_ONE_THREAD = {f"{name}_THREADS": "1" for name in _THREADS}
+"""Variables that give a worker of this machine one thread, in kernels and in linear algebra."""
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_AGAIN = "give the same command: parts that are written stay"
+
+
+@dataclass
+class RunReport:
+    """Result of a run: shards in all and done, and shards whose worker died again and again.
+
+    ``records``, ``failed`` and ``seconds`` (of processor time) are those of this run.
+    """
+
+    shards: int
+    done: int = 0
+    records: int = 0
+    failed: int = 0
+    seconds: float = 0.0
+    set_aside: dict[int, str] = field(default_factory=dict)
+
+
+def run_campaign(
+    campaign: Campaign,
+    *,
+    workers: int | None = None,
+    executor: str | None = None,
+    progress: Progress | None = None,
+) -> RunReport:
+    """Compute all shards that have no part.
+
+    Parameters
+    ----------
+    campaign:
+        From :func:`piga.campaign.plan_campaign`.
+    workers:
+        Processes on this machine. None: one for each core.
+    executor:
+        Address of a Dask scheduler (``tls://HOST:PORT``), instead of processes of this machine.
+    progress:
+        Function of the records done, all records, and what comes now (:mod:`piga.progress`).
+
+    Raises
+    ------
+    PigaError
+        If another run works in the folder, a part is damaged, the cluster cannot be used, or parts cannot be written.
+    """
+    with _alone(campaign.folder):
+        done = campaign.parts()
+        for shard, path in done.items():
+            read_part(campaign, shard, path)
+        report = RunReport(campaign.shards, len(done))
+        missing = [shard for shard in range(campaign.shards) if shard not in done]
+        if missing:
+            with _client(campaign, executor, workers, progress) as client:
+                try:
+                    _compute(client, campaign, missing, report, progress)
+                except (OSError, TimeoutError, CancelledError):
+                    raise PigaError("the scheduler is gone", remedy=f"start it again, then {_AGAIN}") from None
+        return report
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Refuse a second run in a folder."""
+    with (folder / _LOCK).open("a") as stream:
+        if os.name != "nt":
+            import fcntl
+
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise PigaError(
+                    f"{folder}: another 'piga campaign run' works in this folder, or its disk has no locks ({error.strerror})",
+                    remedy="wait for it, or stop it",
+                ) from None
+        yield
+
+
+# --- clusters ----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _client(
+    campaign: Campaign, executor: str | None, workers: int | None, progress: Progress | None
+) -> Iterator[Any]:
+    """A client of the cluster that the options name; a cluster of this machine ends with the run."""
+    distributed = needed("distributed")
+    import dask
+
+    for name in ("distributed", "tornado", "asyncio"):  # what the user needs to know is said by the run
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    if executor is not None:
+        if workers is not None:
+            raise ArgumentError(
+                "--workers is for this machine only; with --executor the cluster has its own number of workers",
+                remedy="leave --workers out",
+            )
+        client = _connected(distributed, executor)
+        try:
+            yield client
+        finally:
+            client.close(timeout=5)
+        return
+    count = (os.cpu_count() or 1) if workers is None else workers
+    if count < 1:
+        raise ArgumentError(f"--workers {count}: at least one is needed", remedy="write e.g. --workers 2")
+    report_progress(progress, 0, campaign.plan.records, "first record, and kernels where they are not compiled")
+    with suppress(Exception):  # the workers then load the kernels; a record that fails is a row with its reason
+        compute(campaign.plan, campaign.plan.record(0))
+    options = {"threads_per_worker": 1, "security": True, "protocol": "tls://", "dashboard_address": None}
+    options["silence_logs"] = logging.CRITICAL  # of the workers: their traceback at Ctrl-C
+    options["scheduler_kwargs"] = {"dashboard_address": "127.0.0.1:0"}  # any free port; nothing is shown there
+    pages: dict[str, list[str]] = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
+    with dask.config.set({"distributed.scheduler.worker-saturation": 1.0, **pages}):
+        with _without_ctrl_c():
+            cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=_ONE_THREAD, **options)
+        with cluster, distributed.Client(cluster, set_as_default=False) as client:
+            yield client
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Processes started here never see Ctrl-C: a terminal sends it to all of them, and only this one is to answer."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _connected(distributed: Any, address: str) -> Any:
+    """A client of a running scheduler, with at least one worker."""
+    parts, security = urlsplit(address), distributed.Security()
+    certified = security.tls_ca_file and security.tls_client_cert
+    if not {"tls": certified, "tcp": parts.hostname in _LOOPBACK}.get(parts.scheme):
+        raise PigaError(
+            f"--executor {address}: a scheduler off this machine needs a tls:// address, and TLS certificates here",
+            remedy="a cluster runs whatever code it is sent: write the address that the scheduler prints, e.g. "
+            "tls://10.0.0.1:8786, and set distributed.comm.tls in Dask's configuration (ca-file, client.cert, client.key)",
+        )
+    try:
+        client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+        client.wait_for_workers(1, timeout=_CONNECT)
+    except (OSError, TimeoutError, ValueError, TypeError) as error:
+        raise PigaError(
+            f"--executor {address}: no scheduler with a worker answers ({first_line(error)[:200]})",
+            remedy="start both (dask scheduler; dask worker ... --nthreads 1), and check address and certificates",
+        ) from None
+    return client
+
+
+# --- the loop ----------------------------------------------------------------------------------------
+
+
+def _compute(
+    client: Any, campaign: Campaign, missing: list[int], report: RunReport, progress: Progress | None
+) -> None:
+    """Compute the shards. One whose worker died again and again is set aside; other errors end the run."""
+    from distributed.scheduler import KilledWorker
+
+    total = campaign.plan.records
+    records = total - sum(len(campaign.records_of(shard)) for shard in missing)
+    finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    folder, idle = str(campaign.folder.resolve()), ""
+    waiting = {}
+    for shard in missing:
+        future = client.submit(run_shard, folder, shard, key=f"piga-{campaign.key[:16]}-{shard}", pure=False)
+        waiting[future] = shard
+        future.add_done_callback(finished.put)
+    while waiting:
+        failed = f", {report.failed} records failed" if report.failed else ""
+        what = f"{report.done} of {report.shards} shards{failed}{idle}"
+        report_progress(progress, records, total, what, _AGAIN)
+        try:
+            future = finished.get(timeout=_POLL)
+        except queue.Empty:
+            if client.status != "running":
+                raise CancelledError from None
+            idle = "" if client.nthreads() else ", waiting: the cluster has no workers"
+            continue
+        if future.status == "cancelled":
+            raise CancelledError
+        shard = waiting.pop(future)
+        numbers = campaign.records_of(shard)
+        try:
+            computed, failures, seconds = future.result()
+            report.done += 1
+            report.records += computed
+            report.failed += failures
+            report.seconds += seconds
+        except KilledWorker as error:
+            died = f"its worker died {error.allowed_failures + 1} times"
+            report.set_aside[shard] = f"records {numbers[0]} to {numbers[-1]}: {died}"
+        records += len(numbers)

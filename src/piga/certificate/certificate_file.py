@@ -20,9 +20,10 @@ import msgspec
 from piga.errors import UnitError
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
+from piga.records.run_file import TomlTable
 from piga.records.terms import SERVO_TERMS, meaning_of
 from piga.records.text_files import read_toml
-from piga.units import to_si
+from piga.units import to_si, written_quantity
 
 _MASKED = 0.05
 """Largest share of masked rows for which a certificate is issued, unless the file allows more."""
@@ -37,11 +38,7 @@ _RANGES = {
 """Name and SI unit of the ranges in which the results are valid."""
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the file."""
-
-
-class CertificateTable(_Table, frozen=True):
+class CertificateTable(TomlTable, frozen=True):
     """``[certificate]``: its unique number, date of issue, and what it replaces.
 
     If ``issued`` is missing, ``piga certificate`` sets today's date. In Python it must be set.
@@ -55,7 +52,7 @@ class CertificateTable(_Table, frozen=True):
     largest_masked_share: float = _MASKED
 
 
-class PartyTable(_Table, frozen=True):
+class PartyTable(TomlTable, frozen=True):
     """``[laboratory]`` and ``[customer]``: name and address; ``country`` is a two-letter ISO 3166-1 code."""
 
     name: str = ""
@@ -75,7 +72,7 @@ class PartyTable(_Table, frozen=True):
         )
 
 
-class ItemTable(_Table, frozen=True):
+class ItemTable(TomlTable, frozen=True):
     """``[item]``: the calibrated item, and its condition at receipt."""
 
     description: str = ""
@@ -87,7 +84,7 @@ class ItemTable(_Table, frozen=True):
     received: dt.date | None = None
 
 
-class CalibrationTable(_Table, frozen=True):
+class CalibrationTable(TomlTable, frozen=True):
     """``[calibration]``: dates, place and order of the calibration."""
 
     begin: dt.date | None = None
@@ -97,7 +94,7 @@ class CalibrationTable(_Table, frozen=True):
     order: str = ""
 
 
-class MethodTable(_Table, frozen=True):
+class MethodTable(TomlTable, frozen=True):
     """``[method]``: procedure, deviations from it, sampling, and results from external providers."""
 
     name: str = ""
@@ -108,7 +105,7 @@ class MethodTable(_Table, frozen=True):
     external_results: str = ""
 
 
-class ConditionTable(_Table, frozen=True):
+class ConditionTable(TomlTable, frozen=True):
     """``[[environment]]``: a condition that influences the results, with its value and expanded uncertainty."""
 
     name: str
@@ -116,7 +113,7 @@ class ConditionTable(_Table, frozen=True):
     uncertainty: str = ""
 
 
-class StandardTable(_Table, frozen=True):
+class StandardTable(TomlTable, frozen=True):
     """``[[traceability.standard]]``: a standard used, with its identification and certificate."""
 
     name: str
@@ -125,28 +122,28 @@ class StandardTable(_Table, frozen=True):
     realises: str = ""
 
 
-class TraceabilityTable(_Table, frozen=True):
+class TraceabilityTable(TomlTable, frozen=True):
     """``[traceability]``: the statement of traceability, and its standards."""
 
     statement: str = ""
     standard: tuple[StandardTable, ...] = ()
 
 
-class PersonTable(_Table, frozen=True):
+class PersonTable(TomlTable, frozen=True):
     """A person with a role."""
 
     name: str = ""
     role: str = ""
 
 
-class PeopleTable(_Table, frozen=True):
+class PeopleTable(TomlTable, frozen=True):
     """``[people]``: the person who authorises the certificate, and those who did the work."""
 
     authorised: PersonTable = PersonTable()
     performed: PersonTable = PersonTable()
 
 
-class AdjustmentTable(_Table, frozen=True):
+class AdjustmentTable(TomlTable, frozen=True):
     """``[adjustment]``: whether the item was adjusted or repaired and, if so, its results before."""
 
     performed: bool | None = None
@@ -154,16 +151,16 @@ class AdjustmentTable(_Table, frozen=True):
     description: str = ""
 
 
-class ConformityTable(_Table, frozen=True):
+class ConformityTable(TomlTable, frozen=True):
     """``[conformity]``: specification, decision rule, and lower and upper limits of coefficients, with units."""
 
     specification: str = ""
     rule: Literal["simple", "guarded"] | None = None
     agreed_with_customer: bool = False
-    limits: dict[str, tuple[str, str]] = {}
+    limits: dict[str, tuple[str, str]] = msgspec.field(default_factory=dict)
 
 
-class StatementsTable(_Table, frozen=True):
+class StatementsTable(TomlTable, frozen=True):
     """``[statements]``: opinions with their author; a recalibration interval only if the customer agreed to it."""
 
     opinions: str = ""
@@ -173,7 +170,7 @@ class StatementsTable(_Table, frozen=True):
     remarks: str = ""
 
 
-class CertificateFile(_Table, frozen=True):
+class CertificateFile(TomlTable, frozen=True):
     """A whole certificate file."""
 
     certificate: CertificateTable = CertificateTable()
@@ -254,13 +251,8 @@ def missing_items(
         if getattr(getattr(data, table), key) in ("", None, ())
     ]
     missing += [*_texts(data), *_conditions(data), *_order_of_dates(data, calibration)]
-    missing += [
-        *_adjustment(data, calibration, before),
-        *_numbers(data, calibration),
-        *_gravity(data, calibration),
-        *_conformity(data, calibration),
-    ]
-    return missing
+    missing += [*_adjustment(data, calibration, before), *_numbers(data, calibration)]
+    return [*missing, *_gravity(data, calibration), *_conformity(data, calibration)]
 
 
 def _texts(data: CertificateFile) -> Iterator[str]:
@@ -308,23 +300,11 @@ def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
             )
 
 
-_QUANTITY = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*)", re.DOTALL)
-"""Number and unit."""
-
-
 def quantity_text(text: str) -> tuple[float, str]:
     """Number and unit of a quantity such as ``"20.1 degC"`` or ``"45 %"``, as written."""
     number, unit = written_quantity(text)
     to_si(f"{number} {unit or '1'}", unit or "1", what=text)
     return float(number), unit or "1"
-
-
-def written_quantity(text: str) -> tuple[str, str]:
-    """Number and unit of a quantity as text."""
-    match = _QUANTITY.fullmatch(text.strip())
-    if match is None:
-        raise UnitError(f"'{text}' does not begin with a number", remedy="write e.g. '20.1 degC'")
-    return match[1], match[2]
 
 
 def _order_of_dates(data: CertificateFile, calibration: Calibration) -> Iterator[str]:

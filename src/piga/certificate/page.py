@@ -20,7 +20,6 @@ from piga.certificate.certificate_file import (
     missing_items,
     statements,
     verdicts,
-    written_quantity,
 )
 from piga.data import example_files
 from piga.errors import CalibrationError
@@ -38,6 +37,7 @@ from piga.reports.calibration.tables import (
 )
 from piga.reports.render.numbers import Rounded, count, pretty_unit, printed, relative, rounded, significant
 from piga.reports.render.page import Table, TableOf, resource, template
+from piga.units import written_quantity
 
 _ACROSS = 5
 """Most coefficients side by side in a table of the certificate."""

@@ -18,6 +18,7 @@ from piga.cli.common import (
     progress,
     say,
     tell,
+    write_text,
 )
 
 app = App("campaign", "Run thousands of tests, on one machine or many.")
@@ -33,15 +34,12 @@ _INCOMPLETE = 1
 def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
     """Check a campaign and cut its records into shards.
 
-    It computes a few records to measure how long they take.
+    Nothing is computed; 'piga campaign status' tells the cost when a few shards are done.
     """
     from piga.campaign.shards import plan_campaign
-    from piga.reports.render.numbers import duration
 
     planned = plan_campaign(campaign, out)
-    manifest, groups = planned.manifest, planned.plan.groups
-    size, seconds = manifest.records_per_shard, manifest.seconds_per_record
-    hours = None if seconds is None else seconds * planned.plan.records / 3600.0
+    groups, size = planned.plan.groups, planned.manifest.records_per_shard
     document = {
         "campaign": str(planned.plan.path),
         "groups": len(groups),
@@ -49,16 +47,11 @@ def plan(campaign: File, out: Out, as_json: JsonOption = False) -> None:
         "records": planned.plan.records,
         "shards": planned.shards,
         "records_per_shard": size,
-        "seconds_per_record": seconds,
-        "core_hours": hours,
     }
     lines = [planned.plan.file.campaign.title or planned.plan.path.name]
     lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
     lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
     lines.append(f"{planned.plan.records} records in {planned.shards} shards of {size}")
-    if seconds is not None:
-        cost = f"{duration(seconds * size)} a shard, {hours:.2g} core hours in all"
-        lines.append(f"about {seconds:.2g} s a record, {cost}")
     lines.append(f"wrote {out}/manifest.json; go on with: {_command('run', campaign, out)}")
     tell(as_json, document, lines)
 
@@ -68,7 +61,7 @@ def run(
     campaign: File,
     out: Out,
     workers: Annotated[int | None, option("N", "Processes on this machine [default: one per core].")] = None,
-    executor: Annotated[str | None, option("dask://HOST:PORT", "Scheduler of a Dask cluster.")] = None,
+    executor: Annotated[str | None, option("tls://HOST:PORT", "Scheduler of a Dask cluster.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compute all records that are not computed yet.
@@ -76,8 +69,7 @@ def run(
     After any interruption give the same command again: it continues where it stopped. Ctrl-C drops the shards under way.
     The exit code is 1 if the run was stopped, or a worker died again and again at a shard.
     """
-    from piga.campaign.run import run_campaign
-    from piga.campaign.shards import plan_campaign
+    from piga.campaign.shards import plan_campaign, run_campaign
     from piga.reports.render.numbers import duration
 
     planned = plan_campaign(campaign, out)
@@ -170,24 +162,29 @@ def repeat(
     campaign: File,
     case: Annotated[int, option("N", "Number of the case, from 0.", min=0)],
     repeat: Annotated[int, option("N", "Number of the repeat, from 0.", min=0)],
-    out: Annotated[Path | None, option("DIR", "Folder for the files of the record.")] = None,
+    out: Annotated[Path, option("DIR", "Folder for the scenario of the record.")],
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute one record of a campaign again, and write its files.
+    """Write the scenario of one record, with its values and its seed.
 
-    Writes the run file, the data and the truth of a simulated test, and the scenario that makes them.
+    'piga simulate' (or 'piga platform') then makes the record again, bit for bit.
     """
     from piga.campaign.campaign_file import read_campaign
-    from piga.campaign.subjects import FILES, compute, outcome_document, outcome_lines, write_record
+    from piga.campaign.subjects import scenario_text
 
     planned = read_campaign(campaign)
     record = planned.find(case, repeat)
-    with deliver(out, "campaign-repeat", FILES, files_named_in(campaign), force=force, as_json=as_json) as to:
-        outcome = compute(planned, record)
-        if out is not None:
-            write_record(planned, record, to.stage)
-        to.tell(lambda: outcome_document(record, outcome), lambda: "\n".join(outcome_lines(record, outcome)))
+    with deliver(
+        out, "campaign-repeat", ("scenario.toml",), files_named_in(campaign), force=force, as_json=as_json
+    ) as to:
+        write_text(to / "scenario.toml", scenario_text(planned, record))
+        place = {"record": record.number, "case": case, "repeat": repeat, "group": record.group.label}
+        made = f"piga simulate {shlex.quote(str((to.folder or out) / 'scenario.toml'))} --out DIR"
+        commands = f"{made}; piga calibrate DIR/run.toml"
+        if record.group.subject == "platform":
+            commands = made.replace("simulate", "platform compare")
+        to.tell(lambda: place | {"commands": commands}, lambda: f"compute it with: {commands}")
 
 
 def _command(name: str, campaign: Path, out: Path, *more: str) -> str:

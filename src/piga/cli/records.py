@@ -178,11 +178,11 @@ def add(
             if supersedes is not None:
                 supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
     with progress("calibrating"):
-        prepared = prepare_run(
+        draft = prepare_run(
             run, operator, reason, measured=measured, supersedes=supersedes, report=report, results=results
         )
     with opened(store, create=True) as kept:
-        record = prepared.keep(kept)
+        record = kept.append(draft)
         lines = (
             f"kept record {record.id}, number {record.number}, instrument {record.document.serial}",
             f"head {record.head}",

@@ -18,7 +18,7 @@ import platform
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
@@ -96,47 +96,19 @@ def _joined(below: str, name: str) -> str:
     return os.path.normpath(f"{below}/{name}" if below else name).replace(os.sep, "/")
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A calibration ready to be stored: the record without its place in the chain; ``report``: make its page with that place."""
-
-    draft: Draft
-    calibration: Calibration
-    report: bool = False
-
-    def keep(self, store: Store) -> Record:
-        """Store the record. When this returns, it is on disk.
-
-        Raises
-        ------
-        PigaError
-            If it cannot be stored; nothing is stored then.
-        """
-        return store.append(self._at)
-
-    def _at(self, place: Position) -> Draft:
-        if not self.report:
-            return self.draft
-        page = _report(self.calibration, self.draft, place)
-        report = DraftFile("report", _PAGE, page.encode())
-        return replace(self.draft, files=(*self.draft.files, report))
-
-
 def prepare_run(
     run: Path,
     operator: str,
     reason: str,
     *,
-    terms: list[str] | None = None,
-    method: str | None = None,
-    phases: str | None = None,
-    phase_source: str | None = None,
     measured: str | None = None,
     supersedes: str | None = None,
     report: bool = True,
     results: Path | None = None,
-) -> Prepared:
+) -> Draft:
     """Calibrate a run and prepare its record: inputs, result, and a report that shows the record's name and the head.
+
+    The record is stored by ``store.append(prepare_run(...))``.
 
     Parameters
     ----------
@@ -144,8 +116,6 @@ def prepare_run(
         Run file.
     operator, reason:
         Who stores the record, and why.
-    terms, method, phases, phase_source:
-        As for :func:`piga.calibrate`.
     measured:
         Time of the test, in ISO form; UTC if no zone is given.
     supersedes:
@@ -164,11 +134,8 @@ def prepare_run(
         from piga.calibration.calibrate import calibrate
         from piga.stand import read_run
 
-        calibration = calibrate(read_run(run), terms, method, phases=phases, phase_source=phase_source)
-        files, software = (
-            [DraftFile("calibration", _RESULT, calibration_to_bytes(calibration))],
-            software_identity(),
-        )
+        calibration, software = calibrate(read_run(run)), software_identity()
+        files = [DraftFile("calibration", _RESULT, calibration_to_bytes(calibration))]
     else:
         path, page = results / "calibration.json", results / "report.html"
         raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
@@ -187,10 +154,10 @@ def prepare_run(
     }
     kept = (*input_files(run, calibration.provenance.input_sha256), *files)
     draft = Draft(calibration.serial, operator, reason, kept, options, software, measured, supersedes)
-    return Prepared(draft, calibration, report and results is None)
+    return replace(draft, report=partial(_report, calibration, draft)) if report and results is None else draft
 
 
-def _report(calibration: Calibration, draft: Draft, place: Position) -> str:
+def _report(calibration: Calibration, draft: Draft, place: Position) -> DraftFile:
     """The report of a record, with its place in the chain."""
     from piga.reports.calibration.page import page as calibration_page
     from piga.reports.calibration.tables import facts_table
@@ -213,7 +180,8 @@ def _report(calibration: Calibration, draft: Draft, place: Position) -> str:
     page = calibration_page(calibration)
     section = Section("Record", "record", (lead, facts_table(rows, code=True)))
     footer = f"Record {place.id}, number {place.number}, after head {place.after}. {page.footer}"
-    return page_html(replace(page, sections=(*page.sections, section), footer=footer))
+    html = page_html(replace(page, sections=(*page.sections, section), footer=footer))
+    return DraftFile("report", _PAGE, html.encode())
 
 
 # -- reproduce -----------------------------------------------------------------------------------------

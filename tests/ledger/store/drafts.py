@@ -8,7 +8,6 @@ from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.ledger.store.documents import Position
 from piga.ledger.store.store import Store
 
 
@@ -30,10 +29,7 @@ def draft(key: str = "a", *, serial: str = "T-1", size: int = 400, **options: st
 
 
 def add(store: Store, key: str = "a", **options: object) -> str:
-    def make(_place: Position) -> Draft:
-        return draft(key, **options)  # type: ignore[arg-type]
-
-    return store.append(make).id
+    return store.append(draft(key, **options)).id  # type: ignore[arg-type]
 
 
 def filled(path: Path, count: int = 3, **options: object) -> Store:

@@ -81,7 +81,7 @@ def test_a_bad_draft_changes_nothing(tmp_path: Path, options: dict[str, object],
     fields = {"serial": "T-1", "operator": "A", "reason": "B", "files": ()} | options
     with filled(tmp_path / "a.sqlite", 1) as store:
         with pytest.raises(PigaError, match=message):
-            store.append(lambda _place: Draft(**fields))  # type: ignore[arg-type]
+            store.append(Draft(**fields))  # type: ignore[arg-type]
         assert store.head().number == 1
     assert verify(tmp_path / "a.sqlite").sound
 

@@ -61,7 +61,7 @@ def test_identity_and_order_by_the_time_of_the_test(tmp_path: Path) -> None:
     with open_store(tmp_path / "a.sqlite", create=True) as store:
         for when in ("2026-11-20T09:30:00+01:00", "2025-03-01"):
             made = Draft(first.serial, "A", "r", (file,), {}, {"piga": when[:4]}, measured=when)
-            store.append(lambda _place, made=made: made)  # type: ignore[misc]
+            store.append(made)
         names = [record.id for record in store.records()]
         assert [name for name, _, _ in store.history(first.serial)] == names[::-1]
         result = difference(store, 1, 2)
@@ -84,7 +84,7 @@ def test_a_file_that_changes_while_it_is_stored(tmp_path: Path) -> None:
     with filled(tmp_path / "a.sqlite", 1) as store:
         growing = DraftFile("data", "run.csv", Changing(log))
         with pytest.raises(StoreError, match="changed while it was stored"):
-            store.append(lambda _place: Draft("T-1", "A", "B", (growing,)))
+            store.append(Draft("T-1", "A", "B", (growing,)))
         assert store.head().number == 1
     assert verify(tmp_path / "a.sqlite").sound
 

@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -303,7 +303,10 @@ class DraftFile:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Draft(Result):
-    """A record before it is written. ``measured`` is the time of the test, in ISO form."""
+    """A record before it is written: :meth:`Store.append` writes it.
+
+    ``measured`` is the time of the test, in ISO form. ``report`` makes a file for the place of the record.
+    """
 
     serial: str
     operator: str
@@ -313,6 +316,7 @@ class Draft(Result):
     software: dict[str, str] = field(default_factory=dict)
     measured: str | None = None
     supersedes: str | None = None
+    report: Callable[[Position], DraftFile] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -155,13 +155,8 @@ class Store(Database):
                 _write_new(path, rows.file(file.sha256))
         return run
 
-    def append(self, make: Callable[[Position], Draft]) -> Record:
+    def append(self, draft: Draft) -> Record:
         """Append one record. When this returns, it is on disk.
-
-        Parameters
-        ----------
-        make:
-            Function that makes the record for its place. It is called while no one else can write.
 
         Raises
         ------
@@ -171,11 +166,14 @@ class Store(Database):
         with self.writing() as rows:
             head = rows.head()
             place = Position(new_id(), head.number + 1, _identity(rows).store, head.sha256)
-            return self.insert(rows, self._document(rows, place, make(place)))
+            document = self._document(rows, place, draft)
+            return self.insert(rows, document, encode(document))
 
-    def insert(self, rows: Rows, document: RecordDocument, taken_over: TakenOver | None = None) -> Record:
-        """Append a record whose files are stored, with a new link."""
-        head, raw = rows.head(), encode(document)
+    def insert(
+        self, rows: Rows, document: RecordDocument, raw: bytes, taken_over: TakenOver | None = None
+    ) -> Record:
+        """Append a record whose files are stored, with a new link. ``raw``: the bytes of the document."""
+        head = rows.head()
         link = Link(LINK, head.number + 1, head.sha256, sha256(raw), now(), taken_over)
         entry = Entry(link.number, encode(link), raw)
         rows.add(entry, document)
@@ -183,7 +181,7 @@ class Store(Database):
 
     def _document(self, rows: Rows, place: Position, draft: Draft) -> RecordDocument:
         files = []
-        for file in draft.files:
+        for file in (*draft.files, *([draft.report(place)] if draft.report else [])):
             digest, size = digest_of(file.parts())
             if file.sha256 not in (None, digest):
                 raise StoreError(

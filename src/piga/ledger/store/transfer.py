@@ -36,7 +36,6 @@ from piga.ledger.store.documents import (
     checked_text,
     decode,
     digest_of,
-    encode,
     is_digest,
     sha256,
 )
@@ -405,7 +404,6 @@ def export_records(
     target: Path,
     chosen: Iterable[str] | None = None,
     *,
-    replace: bool = False,
     progress: Progress | None = None,
 ) -> Verification:
     """Write all records of a store, or the chosen ones, with all links of its chain.
@@ -423,7 +421,7 @@ def export_records(
         result = verify(part, progress=progress)
         result.require_sound(store.name)
 
-    write_whole(target, write, replace=replace, kind=StoreError)
+    write_whole(target, write, replace=False, kind=StoreError)
     result.name = str(target)
     return result
 
@@ -455,28 +453,20 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
                 if there is not None:
                     continue
                 _copy_files(rows, export, document)
-                _refuse_unfit(store, rows, entry.document, document, export.name)
+                try:
+                    store.check(rows, document)
+                except PigaError as error:
+                    raise StoreError(
+                        f"{export.name}: record {document.id[:20]!r} (number {entry.number} there) cannot be taken over: "
+                        f"{error.message}",
+                        remedy="nothing was imported: ask its laboratory for an export without it (--record)",
+                    ) from None
                 link = decode(entry.link, Link, LINK, f"link {entry.number}")
                 origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
-                store.insert(rows, document, taken_over)
+                store.insert(rows, document, entry.document, taken_over)
                 added.append(document.id)
         return added
-
-
-def _refuse_unfit(store: Store, rows: Rows, raw: bytes, document: RecordDocument, name: str) -> None:
-    """Refuse records that ``add`` would not have written."""
-    try:
-        if encode(document) != raw:
-            raise StoreError(
-                "it is not written as piga writes records", remedy="ask its laboratory for a new export"
-            )
-        store.check(rows, document)
-    except PigaError as error:
-        raise StoreError(
-            f"{name}: record {document.id[:20]!r} (number {document.number} there) cannot be taken over: {error.message}",
-            remedy="nothing was imported: ask its laboratory for an export without it (--record)",
-        ) from None
 
 
 def restore(source: Path, target: str | Path) -> Verification:

@@ -194,6 +194,11 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         if schema.startswith("piga.calibration/"):
             message = f"schema '{schema}' is not known to this version"
             remedy = "update piga, or calibrate again"
+        elif schema.startswith("piga.set-calibration/"):
+            message = (
+                "is the set-calibration.json of a set of accelerometers, not the calibration of one instrument"
+            )
+            remedy = "its report.html has the results; for this command calibrate each instrument by itself"
     except (JsonError, msgspec.ValidationError, UnitError) as error:
         why = error.message if isinstance(error, UnitError) else str(error)
         message, remedy = f"not a valid calibration record: {why}", "calibrate again"
