@@ -262,10 +262,9 @@ def compare(
     with _results(out, "compare", scenario, force, as_json, "comparison.json", "capstone.html") as to:
         comparison = _compared(load_scenario(scenario))
         s = comparison.run.scenario
-        with progress("budget") as advance:
-            sources = standard_sources(comparison.preparation.alignment)
-            rows = error_budget(s, sources, progress=advance) if budget else ()
-            lines = line_budget(s, comparison.preparation.identification) if budget else ()
+        sources = standard_sources(comparison.preparation.alignment)
+        rows = error_budget(s, sources) if budget else ()
+        lines = line_budget(s, comparison.preparation.identification) if budget else ()
         document = comparison.document()
         if rows:
             document["budget"] = msgspec.to_builtins(rows)

@@ -281,11 +281,8 @@ def published_recursion(
     CalibrationError
         For other terms, or too many values of ``start``.
     """
-    names = {
-        ("tan_beta",): ("tan_beta", "phi"),
-        ("tan_beta", "k0", "k1", "k2"): ("tan_beta", "phi", "k0", "k1", "k2"),
-    }.get(tuple(terms))
-    if names is None or len(start) > len(names):
+    names = ("tan_beta", "phi", *terms[1:])
+    if tuple(terms) not in (("tan_beta",), ("tan_beta", "k0", "k1", "k2")) or len(start) > len(names):
         raise CalibrationError(
             "the published recursion estimates (tan_beta) or (tan_beta, k0, k1, k2), and starts from as many values and phi",
             remedy="give these terms, or use piga.calibrate",

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -175,59 +174,39 @@ def _integrated(example: Example, t: Array, size: float = 0.0) -> tuple[Array, A
     return run.y[0], rate(t, run.y[0])
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """One example solved four ways at times ``t`` [s]: angle [rad], rate [rad/s], or both."""
-
-    t: Array
-    closed: tuple[Array, Array]
-    sampled: Array
-    integrated: tuple[Array, Array]
-    published: Array
-
-    def worst(self) -> Value:
-        """The published rate beside the integrated one where they differ most [deg/s]."""
-        return _worst(self.t, self.published, self.integrated[1])
-
-
 def _worst(t: Array, published: Array, integrated: Array) -> Value:
+    """The published rate beside the integrated one where they differ most [deg/s]."""
     at = int(np.argmax(np.abs(published - integrated)))
     degrees = math.degrees(integrated[at]), math.degrees(published[at])
     return Value(degrees[0], published=degrees[1], words={"t": t[at]})
 
 
-@cache
-def solved(example: Example) -> Solved:
-    """Solve an example with piga's closed form, piga's propagator for records, SciPy's DOP853, and the published form."""
-    t = np.linspace(0.0, 100.0, 2001)
-    f = np.tile(np.array(example.force), (t.size, 1))
-    sampled = propagate(INSTRUMENT, t, f, between="linear")
-    closed = closed_form(INSTRUMENT, t, *example.force)
-    _, published = published_closed_form(example.number, INSTRUMENT, t, *example.force)
-    return Solved(t, closed, sampled, _integrated(example, t), published)
-
-
 def examples() -> Chapter:
-    """Rate against time in the four regimes, with the ideal line."""
+    """Rate against time in the four regimes, with the ideal line.
+
+    Solved four ways: piga's closed form, piga's propagator for records, SciPy's DOP853, and the published form.
+    """
     values: dict[str, float | Value] = {}
     plot = Plot("constant-input-rates", "Output rate under constant input, four regimes", columns=2, height=2.5)
+    t = np.linspace(0.0, 100.0, 2001)
     for example in EXAMPLES:
-        name, solution = f"example-{example.number}", solved(example)
-        angles, ideal = (solution.closed[0], solution.sampled), INSTRUMENT.scale_factor * example.force[0]
+        name, force = f"example-{example.number}", example.force
+        sampled = propagate(INSTRUMENT, t, np.tile(np.array(force), (t.size, 1)), between="linear")
+        angle, rate = closed_form(INSTRUMENT, t, *force)
+        integrated, integrated_rate = _integrated(example, t)
+        _, published = published_closed_form(example.number, INSTRUMENT, t, *force)
+        ideal = INSTRUMENT.scale_factor * force[0]
         values[f"{name}.ideal"] = math.degrees(ideal)
-        values[f"{name}.form"] = solution.worst()
-        values[f"{name}.agreement"] = max(float(np.abs(a - solution.integrated[0]).max()) for a in angles)
+        values[f"{name}.form"] = _worst(t, published, integrated_rate)
+        values[f"{name}.agreement"] = max(float(np.abs(a - integrated).max()) for a in (angle, sampled))
         if example.number == 4:
-            values[f"{name}.mean"] = math.degrees(float(mean_rate(INSTRUMENT, *example.force)))
+            values[f"{name}.mean"] = math.degrees(float(mean_rate(INSTRUMENT, *force)))
         else:
-            values[f"{name}.end"] = math.degrees(float(closed_form(INSTRUMENT, _LATE, *example.force)[1]))
+            values[f"{name}.end"] = math.degrees(float(closed_form(INSTRUMENT, _LATE, *force)[1]))
         drawn = slice(0, 401 if example.number == 4 else None, 5)
-        plot.panel(
-            "time [s]",
-            "output rate [deg/s]",
-            f"{example.number}  {example.title}: a_x = {example.in_g[0]:.5g} g",
-        )
-        curves = solution.t, np.full_like(solution.t, ideal), solution.closed[1], solution.published
+        title = f"{example.number}  {example.title}: a_x = {example.in_g[0]:.5g} g"
+        plot.panel("time [s]", "output rate [deg/s]", title)
+        curves = t, np.full_like(t, ideal), rate, published
         _draw_rates(plot, "cross-coupled: closed form", *(one[drawn] for one in curves))
     figure = plot.caption(
         "Dashed: what an ideal instrument would turn. In regimes 1 to 3 the rate dies although in 2 and 3 there is "

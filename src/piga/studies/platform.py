@@ -291,25 +291,28 @@ def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
 # -- gyro accelerometers on the platform ---------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _TriadReading:
-    """One way to mount and read the instruments: ``sensors`` None is the ideal accelerometer."""
-
-    name: str
-    sensors: PigaSensors | None
-    sentence: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class CapstoneOutcome(Result):
-    """Errors of one reading: largest horizontal position [m], velocity [m/s]; locked time [s/day]."""
+    """Errors of one way to mount and read the instruments: ``sensors`` None is the ideal accelerometer.
 
-    reading: _TriadReading
+    Locked time [s/day] of each instrument; noise against that of three axes at right angles.
+    """
+
+    sensors: PigaSensors | None
+    sentence: str
     errors: Errors
-    position: float
-    velocity: float
     locked_per_day: Array
     noise_gain: float
+
+    @property
+    def position(self) -> float:
+        """Largest horizontal position error [m]."""
+        return float(self.errors.horizontal.max())
+
+    @property
+    def velocity(self) -> float:
+        """Largest horizontal velocity error [m/s]."""
+        return float(np.hypot(*self.errors.velocity[:, :2].T).max())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -327,26 +330,27 @@ class Capstone(Result):
         ]
 
 
-def readings(sensors: PigaSensors) -> tuple[_TriadReading, ...]:
-    """The readings compared: from the ideal instrument to the locked one, and back."""
-
-    def read(name: str, sentence: str, **changes: Any) -> _TriadReading:
-        exact = {"mounting": "skewed", "tan_beta_error": 0.0, "phase_error": 0.0}
-        return _TriadReading(name, msgspec.structs.replace(sensors, **exact | changes), sentence)
-
+def readings(sensors: PigaSensors) -> dict[str, tuple[PigaSensors | None, str]]:
+    """Sensors of the readings compared, with a sentence: from the ideal instrument to the locked one, and back."""
+    exact = msgspec.structs.replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
     wrong = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
     if sensors.tan_beta_error or sensors.phase_error:
         wrong = {name: getattr(sensors, name) for name in wrong}
+
+    def read(**changes: Any) -> PigaSensors:
+        return msgspec.structs.replace(exact, **changes)
+
     near = f"axes within {np.degrees(sensors.cone):.0f} deg of the pole: never locked, still pulled"
     solved = "solved with tan(beta) and phase off by a calibration's error"
-    return (
-        _TriadReading("ideal", None, "ideal accelerometers: the platform and the navigator alone"),
-        read("raw tripod", "three axes at right angles, output taken as alpha'/K", cone=TRIPOD, output="raw"),
-        read("raw skewed", near, output="raw"),
-        read("triad", "right angles, effective axes solved per sample", cone=TRIPOD, output="triad"),
-        read("triad skewed", "skewed and solved per sample", output="triad"),
-        read("triad, calibrated", solved, cone=TRIPOD, output="triad", **wrong),
-    )
+    right = "three axes at right angles, output taken as alpha'/K"
+    return {
+        "ideal": (None, "ideal accelerometers: the platform and the navigator alone"),
+        "raw tripod": (read(cone=TRIPOD, output="raw"), right),
+        "raw skewed": (read(output="raw"), near),
+        "triad": (read(cone=TRIPOD, output="triad"), "right angles, effective axes solved per sample"),
+        "triad skewed": (read(output="triad"), "skewed and solved per sample"),
+        "triad, calibrated": (read(cone=TRIPOD, output="triad", **wrong), solved),
+    }
 
 
 def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
@@ -375,36 +379,27 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
-    for reading in ways:
-        steps(f"navigating, {reading.name}")
-        read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=reading.sensors))
-        run = ideal if reading.sensors is None else simulate(read, motion=ideal.truth.motion)
-        outcomes[reading.name] = _outcome(run, reading, preparation)
+    for name, (used, sentence) in ways.items():
+        steps(f"navigating, {name}")
+        read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=used))
+        run = ideal if used is None else simulate(read, motion=ideal.truth.motion)
+        outcomes[name] = _outcome(run, used, sentence, preparation)
     steps.finish()
     return Capstone(scenario, outcomes)
 
 
-def _outcome(run: PlatformRun, reading: _TriadReading, preparation: Preparation) -> CapstoneOutcome:
-    s = run.scenario
-    made = compensator("B", preparation.knowledge, run.readouts, redundancy=s.compensation.redundancy)
+def _outcome(
+    run: PlatformRun, sensors: PigaSensors | None, sentence: str, preparation: Preparation
+) -> CapstoneOutcome:
+    s, readouts = run.scenario, run.readouts
+    made = compensator("B", preparation.knowledge, readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
-    error = errors(
-        navigate(run.readouts, made, preparation.start, damping_time=s.damping_time, every=every),
-        run.truth,
-        run.readouts,
-    )
-    axes = np.eye(3) if reading.sensors is None else mounting_axes(reading.sensors)[:, 0, :]
-    inside = (
-        np.zeros(3) if reading.sensors is None else locked(reading.sensors, run.truth.force).mean(axis=0) * DAY
-    )
-    return CapstoneOutcome(
-        reading,
-        error,
-        float(error.horizontal.max()),
-        float(np.hypot(error.velocity[:, 0], error.velocity[:, 1]).max()),
-        inside,
-        float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0)),
-    )
+    navigation = navigate(readouts, made, preparation.start, damping_time=s.damping_time, every=every)
+    axes, inside = np.eye(3), np.zeros(3)
+    if sensors is not None:
+        axes, inside = mounting_axes(sensors)[:, 0, :], locked(sensors, run.truth.force).mean(axis=0) * DAY
+    gain = float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0))
+    return CapstoneOutcome(sensors, sentence, errors(navigation, run.truth, readouts), inside, gain)
 
 
 def capstone_figure(capstone: Capstone) -> Figure:
@@ -455,12 +450,12 @@ def capstone_page(capstone: Capstone) -> Page:
 
 def _capstone_table(capstone: Capstone) -> Table:
     return (
-        TableOf(capstone.outcomes.values())
-        .text("reading", lambda o: o.reading.name)
-        .number("position error", lambda o: short(o.position), "m")
-        .number("velocity error", lambda o: short(1e3 * o.velocity), "mm/s")
-        .number("locked", lambda o: short(float(o.locked_per_day.max())), "s/day")
-        .number("noise gain", lambda o: short(o.noise_gain))
-        .text("what it is", lambda o: o.reading.sentence)
+        TableOf(capstone.outcomes.items())
+        .text("reading", lambda row: row[0])
+        .number("position error", lambda row: short(row[1].position), "m")
+        .number("velocity error", lambda row: short(1e3 * row[1].velocity), "mm/s")
+        .number("locked", lambda row: short(float(row[1].locked_per_day.max())), "s/day")
+        .number("noise gain", lambda row: short(row[1].noise_gain))
+        .text("what it is", lambda row: row[1].sentence)
         .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
     )

@@ -82,18 +82,15 @@ def _run_figure(error: Array) -> Figure:
 
 def mounting() -> Chapter:
     """Skew that keeps a_x^2 > a_t^2 tan^2(beta)."""
-    load = TRANSVERSE * G0
+    load, skew = TRANSVERSE * G0, 10.0 * INSTRUMENT.beta
+    a_x = load * math.sin(skew)
+    rate = float(mean_rate(INSTRUMENT, a_x, load * math.cos(skew), 0.0))
     values = {
         "least-skew": math.atan(float(dead_zone(INSTRUMENT, load, 0.0)[1]) / load) / ARCSEC,
         "moves": _revolving_skew(load),
-        "shortfall": _shortfall(10.0 * INSTRUMENT.beta, load),
+        "shortfall": 1.0 - rate / (INSTRUMENT.scale_factor * a_x),
     }
     return chapter_of("mounting", values, ())
-
-
-def _shortfall(skew: float, load: float) -> float:
-    a_x = load * math.sin(skew)
-    return 1.0 - float(mean_rate(INSTRUMENT, a_x, load * math.cos(skew), 0.0)) / (INSTRUMENT.scale_factor * a_x)
 
 
 def _revolving_skew(load: float) -> float:
@@ -195,21 +192,6 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
         "plus the printed 0.802 rad. The published compensation takes the error from 0.05 g to "
         f"1 or 2 mg at {RAMP_TOP:g} g; the exact one to rounding."
     )
-
-
-def _phase_walk() -> tuple[Array, Array]:
-    """Phase of the published model minus the true phase [rad] on the ramp, and K V r^2/2 [rad]."""
-    log = record("ramp")
-    alpha = propagate(INSTRUMENT, log.t, log.f, between="linear")
-    predicted = model_phase(log)
-    constant, lead = closed_form_phase()
-    return predicted + constant - lead - alpha, 0.5 * RATIO**2 * predicted
-
-
-def _misread_phase_error() -> float:
-    """Largest remaining error [g] if the printed 0.802 is taken as degrees."""
-    degrees = _with_phase(published_calibration("ramp"), math.radians(_PUBLISHED_PHASE))
-    return float(np.abs(compensated_error(record("ramp"), degrees, "published")).max())
 
 
 # -- five coefficients on a record of 257 s with three phases, eq. 22-24 ---------------------------------------
@@ -420,7 +402,7 @@ def errata() -> Chapter:
 
 
 def _forms() -> dict[str, float | Value]:
-    """The lost sign and the lost square of the printed forms, for the a_x of the examples turned negative."""
+    """The lost sign of the printed forms, for the a_x of the examples turned negative; the lost square of the critical one."""
     values: dict[str, float | Value] = {}
     for example in EXAMPLES[1:]:
         a_x, a_Y, a_Z = example.force
@@ -429,34 +411,30 @@ def _forms() -> dict[str, float | Value]:
         for suffix, printed in (("", True), ("-corrected", False)):
             _, rate = published_closed_form(example.number, INSTRUMENT, _T, *force, as_published=printed)
             values[f"sign-{example.number}{suffix}"] = float(np.abs(rate - exact).max())
-    with_square, without, exact = _critical_rates()
-    values["square"] = float(without[0])
-    values["square-corrected"] = float(np.abs(with_square - exact).max())
+    force = EXAMPLES[1].force
+    start, top = math.tan(0.5 * INSTRUMENT.alpha0), 2.0 * INSTRUMENT.scale_factor * force[0]
+    m = 0.5 * top * _T + (start - 1.0) / (start + 1.0)
+    exact = closed_form(INSTRUMENT, _T, *force)[1]
+    values["square"] = float(top / (1.0 + m[0]))
+    values["square-corrected"] = float(np.abs(top / (1.0 + m * m) - exact).max())
     return values
 
 
-def _critical_rates() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Critical example [rad/s]: with the square, without it, and by the exact motion."""
-    force = EXAMPLES[1].force
-    start = math.tan(0.5 * INSTRUMENT.alpha0)
-    m = INSTRUMENT.scale_factor * force[0] * _T + (start - 1.0) / (start + 1.0)
-    top = 2.0 * INSTRUMENT.scale_factor * force[0]
-    return top / (1.0 + m * m), top / (1.0 + m), closed_form(INSTRUMENT, _T, *force)[1]
-
-
 def _phase() -> dict[str, float | Value]:
-    """The phase of the published model, and the phase printed in degrees."""
-    walk, predicted = _phase_walk()
-    calibration, (constant, lead) = published_calibration("ramp"), closed_form_phase()
+    """The phase of the published model, which walks away from the true one by K V r^2/2, and the phase printed in degrees."""
+    log, calibration, (constant, lead) = record("ramp"), published_calibration("ramp"), closed_form_phase()
+    predicted = model_phase(log)
+    walk = predicted + constant - lead - propagate(INSTRUMENT, log.t, log.f, between="linear")
     shift = raw_state(calibration)[1] - (constant - lead)
+    misread = compensated_error(log, _with_phase(calibration, math.radians(_PUBLISHED_PHASE)), "published")
     bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(walk + shift).max())
-    left = float(np.abs(model_residual(record("ramp"), calibration)).max())
+    left = float(np.abs(model_residual(log, calibration)).max())
     return {
-        "phase-walk": float(np.polyfit(predicted, walk, 1)[0]),
+        "phase-walk": float(np.polyfit(0.5 * RATIO**2 * predicted, walk, 1)[0]),
         "phase-shift": shift,
         "phase-residual": Value(left, words={"bound": bound}),
         "degrees": math.degrees(constant - lead),
-        "degrees-effect": _misread_phase_error(),
+        "degrees-effect": float(np.abs(misread).max()),
     }
 
 
