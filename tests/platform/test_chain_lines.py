@@ -221,16 +221,6 @@ def test_the_closed_form_gives_both_lines(model, latitude):
     close(both(theory), reference, part=0.002)
 
 
-@pytest.mark.interpreted
-@long
-@pytest.mark.parametrize("latitude", LATITUDES)
-def test_the_navigated_run_shows_both_lines(latitude):
-    truth = Compensation(models=("none", "A"), misalignment="true", attitude="true")
-    comparison = compare(unequal(latitude, step=4.0, compensation=truth))
-    for model, run in comparison.models.items():
-        close(both(run.lines), lines(simulated()[model, latitude], latitude))
-
-
 EQUATORIAL = {
     "east_velocity_equatorial_line_m_s",
     "north_velocity_equatorial_line_m_s",

