@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from piga.platform import compare, theory_lines, true_knowledge
-from piga.platform.analysis import CHANNELS, daily_lines, fitted_lines, has_theory, theory_note
-from piga.platform.chain import line_budget
+from piga.platform.chain import CHANNELS, daily_lines, fitted_lines, has_theory, line_budget, theory_note
 from piga.platform.navigator import Errors
 from piga.platform.scenario import (
     Compensation,

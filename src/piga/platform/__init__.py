@@ -4,14 +4,16 @@ One run is ``load_scenario`` - ``simulate`` - ``identify`` / ``align`` - ``compe
 ``compare`` does all of it for every compensation model. See docs/theory/platform.md.
 """
 
-from piga.platform.analysis import daily_lines, line_amplitudes, theory_lines
 from piga.platform.chain import (
     ModelComparisonRun,
     compare,
+    daily_lines,
     error_budget,
+    line_amplitudes,
     prepare,
     run_model,
     standard_sources,
+    theory_lines,
 )
 from piga.platform.geometry import nulled_attitude, small_angle_attitude, small_angles
 from piga.platform.identify import (

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from piga.platform.analysis import case_rates
-from piga.platform.chain import BudgetRow, LineRow, ModelComparisonRun, last_east_lines
+from piga.platform.chain import BudgetRow, LineRow, ModelComparisonRun, case_rates, last_east_lines
 from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,

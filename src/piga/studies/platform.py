@@ -21,8 +21,14 @@ import numpy as np
 
 from piga.errors import ArgumentError
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
-from piga.platform.analysis import channels, line_amplitudes
-from piga.platform.chain import ModelComparisonRun, Preparation, compare, prepare
+from piga.platform.chain import (
+    ModelComparisonRun,
+    Preparation,
+    channels,
+    compare,
+    line_amplitudes,
+    prepare,
+)
 from piga.platform.geometry import nulled_attitude
 from piga.platform.navigator import Errors, compensator, errors, navigate
 from piga.platform.scenario import (
