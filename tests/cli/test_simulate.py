@@ -139,7 +139,7 @@ def test_gyro_accelerometers_get_their_own_page(capsys, scenario, tmp_path):
     ("arguments", "message"),
     [
         (("compare", "absent.toml"), "absent.toml: cannot be read"),
-        (("identify", ".", "--out", "x"), "is a folder"),
+        (("identify", ".", "--out", "x"), "but a folder"),
         (("align", "sway.toml", "--out", "x"), "needs a base at rest"),
         (("identify", "short.toml", "--out", "x"), "two turns of the cases"),
     ],

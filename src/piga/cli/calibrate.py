@@ -22,7 +22,6 @@ from piga.cli.common import (
     PhasesOption,
     TermsOption,
     argument,
-    check_pipes,
     counted,
     deliver,
     deliver_file,
@@ -34,12 +33,12 @@ from piga.cli.common import (
     progress,
 )
 from piga.data import EXAMPLE, copy_example
-from piga.errors import ArgumentError
+from piga.errors import ArgumentError, PigaError
 from piga.output import CALIBRATION_RESULTS
 
 if TYPE_CHECKING:
     from piga.calibration.summary import RunSummary
-    from piga.compensation import Compensated, CompensatedSet, Phase
+    from piga.compensation import Compensated, CompensatedSet, Compensator, Phase
     from piga.compensation.result import Inputs
     from piga.records import Calibration, Run
     from piga.reports.render.page import Page
@@ -192,6 +191,7 @@ def compensate(
 
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
+    from piga.compensation import Compensator
     from piga.compensation.files import is_triad_file, summary_of
     from piga.compensation.model import Phase
     from piga.compensation.result import format_of, write_rows
@@ -203,12 +203,21 @@ def compensate(
     sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
     given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
     rest, hertz = _positive("--identify-phase", identify_phase, "s"), _positive("--rate", rate, "Hz")
-    period = None if hertz is None else 1.0 / hertz
     live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
-    options = {"identify_phase": rest, "phase": given, "rate": period, "report": report, "as_run": as_run}
+    options = {"identify_phase": rest, "phase": given, "rate": hertz, "report": report, "as_run": as_run}
     _refuse("a live stream" if live else "several instruments" if several else "", options)
     if live:
-        _live(_one(calibrations), kind, method, given, uncertainty, max_age, arrow)
+        _live(
+            Compensator(
+                _one(calibrations),
+                kind=kind,
+                method=method,
+                phase=given,
+                uncertainty=uncertainty,
+                max_age_days=max_age,
+            ),
+            arrow,
+        )
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
@@ -216,7 +225,7 @@ def compensate(
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     arguments: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "force": other_serial}
     shown = {
-        "rate": "as recorded" if period is None else f"written at {1.0 / period:.6g} Hz, shown as recorded",
+        "rate": "as recorded" if hertz is None else f"written at {hertz:.6g} Hz, shown as recorded",
         "calibration flagged when older than": "never" if max_age is None else f"{max_age:g} days",
         "another serial number allowed": "yes" if other_serial else "no",
     }
@@ -236,6 +245,7 @@ def compensate(
         else:
             solved = _single(run[0], sources, _one(calibrations), method, given, rest, arguments)
         with progress("writing", solved.result.size) as advance:
+            period = None if hertz is None else 1.0 / hertz
             written = write_rows(
                 solved.result, to / out.name, period=period, inputs=solved.inputs, progress=advance
             )
@@ -396,22 +406,13 @@ def _together(
     return _Solved(result, records, inputs, [item.calibration for item in mounted], page)
 
 
-def _live(
-    calibration: Calibration,
-    kind: str,
-    method: str | None,
-    phase: Phase | None,
-    uncertainty: bool,
-    max_age: float | None,
-    arrow: bool,
-) -> None:
-    from piga.compensation import Compensator
+def _live(stream: Compensator, arrow: bool) -> None:
+    """Compensate standard input until it ends."""
     from piga.compensation.live import compensate_arrow, compensate_lines
 
-    check_pipes()
-    stream = Compensator(
-        calibration, kind=kind, method=method, phase=phase, uncertainty=uncertainty, max_age_days=max_age
-    )
+    closed = "input" if sys.stdin is None else "output" if getattr(sys.stdout, "name", "") == os.devnull else ""
+    if closed:
+        raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
     if arrow:
         compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
     else:

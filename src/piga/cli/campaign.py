@@ -77,7 +77,7 @@ def run(
     engine += [] if executor is None else ["--executor", executor]
     again = _command("run", campaign, out, *engine)
     try:
-        with progress("computing", every=10.0) as show:
+        with progress("computing") as show:
             report = run_campaign(planned, workers=workers, executor=executor, progress=show)
     except KeyboardInterrupt:
         note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")

@@ -21,7 +21,6 @@ from piga.cli.common import (
     deliver_file,
     files_named_in,
     flag,
-    no_folder,
     option,
     progress,
     say,
@@ -58,7 +57,7 @@ def init(
     from piga.describe import describe_log, draft_run_file, setting
     from piga.records.run_file import read_run_file
 
-    chosen = out or no_folder(log).parent / f"{log.name.split('.')[0] or 'run'}.toml"
+    chosen = out or log.parent / f"{log.name.split('.')[0] or 'run'}.toml"
     if chosen.suffix != ".toml":
         raise ArgumentError(f"--out {chosen}: the name must end in .toml", remedy="e.g. run.toml")
     with deliver_file(chosen, "init", [log], force=force, as_json=as_json) as to:
@@ -91,7 +90,7 @@ def _told(text: str) -> tuple[str, str]:
 def _column_lines(described: LogDescription) -> Iterator[str]:
     layout = described.layout
     if layout is not None:
-        yield f"{described.path}: {layout.encoding} text; names in row {layout.rows.header}"
+        yield f"{described.path}: {layout.form.encoding} text; names in row {layout.rows.header}"
     names = [column.name if len(column.name) < 60 else f"{column.name[:57]}..." for column in described.columns]
     width = max(map(len, names), default=0)
     for name, column in zip(names, described.columns, strict=True):
@@ -170,9 +169,7 @@ def _document(described: LogDescription, draft: RunFileDraft, target: Path) -> d
 def check(
     run: Annotated[Path | None, argument("RUN.toml", "Run file of the recorded test.")] = None,
     out: Annotated[Path | None, option("DIR", "Write check.html with a picture of the record.")] = None,
-    fix_suggestions: Annotated[
-        bool, flag("--fix-suggestions", "Print lines that settle refusals and units.")
-    ] = False,
+    fix_suggestions: Annotated[bool, flag("--fix-suggestions", "Print lines that settle a refusal.")] = False,
     terms: Annotated[bool, flag("--terms", "Also say which terms the record determines (slow).")] = False,
     explain: Annotated[str | None, option("KEY", "Say what a key of any TOML file means.")] = None,
     force: ForceOption = False,
@@ -207,11 +204,7 @@ def check(
     with deliver(out, "check", ("check.html",), files_named_in(run), force=force, as_json=as_json) as to:
         if out is not None:
             write_page(page(record, prospects), to / "check.html")
-        lines = suggested_lines(run) if fix_suggestions and not as_json else []
-        to.tell(
-            lambda: check_document(record, prospects),
-            lambda: "\n".join([page_text(brief(record, prospects)), *lines]),
-        )
+        to.tell(lambda: check_document(record, prospects), lambda: page_text(brief(record, prospects)))
 
 
 def convert(
@@ -243,7 +236,7 @@ def suggested_lines(run: Path, content: bytes | None = None) -> list[str]:
 
     with progress("trying run-file lines"):
         tried = suggestions(run, content)
-    lines = [] if tried else ["# no run-file line would change what was found"]
+    lines = [] if tried else ["# no run-file line lets the log be read"]
     for item in tried:
         lines += [f"# {' '.join(item.reason.split())}", f"{item.line}    # in [{item.table}]"]
     return lines

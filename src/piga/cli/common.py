@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from piga.errors import ArgumentError, PigaError
+from piga.errors import PigaError
 from piga.output import results
 from piga.progress import FIRST_USE, WHEN_COMPILED
 
@@ -40,13 +39,6 @@ def clean(text: str) -> str:
 def _discarded() -> TextIO:
     """A stream in place of a standard output that cannot be written."""
     return Path(os.devnull).open("w", encoding="utf-8")
-
-
-def check_pipes() -> None:
-    """Refuse a live stream if standard input or output is closed."""
-    closed = "input" if sys.stdin is None else "output" if getattr(sys.stdout, "name", "") == os.devnull else ""
-    if closed:
-        raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
 
 
 _LOST = 1
@@ -84,8 +76,11 @@ def _write_out(text: str, *, needed: bool) -> None:
 def print_json(document: Any) -> None:
     """Write one JSON document on stdout and nothing else. If stdout is not UTF-8, other characters are escaped."""
     encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
-    plain = encoding not in ("utf8", "utf8sig")
-    _write_out(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=plain) + "\n", needed=True)
+    _write_out(_json_text(document, ascii_only=encoding not in ("utf8", "utf8sig")), needed=True)
+
+
+def _json_text(document: Any, *, ascii_only: bool) -> str:
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
 
 
 def counted(count: int, noun: str) -> str:
@@ -141,25 +136,13 @@ def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
     from piga.records.text_files import files_named_in
 
-    return files_named_in(no_folder(path))
-
-
-def no_folder(path: Path) -> Path:
-    """A path that is not a folder."""
-    if path.is_dir():
-        raise ArgumentError(f"{path}: is a folder", remedy="name a file in it")
-    return path
+    return files_named_in(path)
 
 
 def write_text(path: Path, text: str) -> Path:
     """Write a text as UTF-8 with the same line ends everywhere."""
     path.write_text(text, encoding="utf-8", newline="\n")
     return path
-
-
-def write_json(path: Path, document: Any) -> Path:
-    """Write a document as indented JSON."""
-    return write_text(path, json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 class Delivery:
@@ -186,7 +169,7 @@ class Delivery:
 
         if self.folder is not None:
             for name in names[:-1]:
-                write_json(self / name, document)
+                write_text(self / name, _json_text(document, ascii_only=False))
             with progress("writing the report"):
                 write_page(page, self / names[-1])
         self.tell(lambda: document, lambda: page_text(brief))
@@ -263,11 +246,10 @@ outlet: Callable[[str, int | None], Show] | None = None
 
 
 @contextmanager
-def progress(title: str, total: int | None = None, *, every: float | None = None) -> Iterator[Show]:
+def progress(title: str, total: int | None = None) -> Iterator[Show]:
     """Progress bar on stderr, shown at once on a terminal. Yields the function that library calls take as ``progress``.
 
-    Without a terminal a line says that kernels are compiled; with ``every``, another what is done after so many seconds. If the
-    command is stopped, the message names ``title``.
+    Without a terminal only a line says that kernels are compiled. If the command is stopped, the message names ``title``.
     """
     try:
         if outlet is not None:
@@ -277,7 +259,7 @@ def progress(title: str, total: int | None = None, *, every: float | None = None
                 yield show
         else:
             WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
-            yield _lines(title, every)
+            yield _silent
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
@@ -316,19 +298,8 @@ def _bar(title: str, total: int | None) -> Iterator[Show]:
         yield show
 
 
-def _lines(title: str, every: float | None) -> Show:
-    """Progress as lines on stderr, one after ``every`` seconds; None: no lines."""
-    last = time.monotonic()
-
-    def show(done: float, total: float | None, what: str) -> None:
-        nonlocal last
-        if every is None or time.monotonic() - last < every:
-            return
-        last = time.monotonic()
-        share = f" {done:g} of {total:g}" if total else ""
-        note(f"{title}{share}{': ' if what else ''}{what}")
-
-    return show
+def _silent(done: float, total: float | None, what: str) -> None:
+    """Progress that nobody sees."""
 
 
 DOING = "while "
@@ -365,27 +336,15 @@ _TYPE = re.compile(r" <(?:list\[)?(?:path|str|int|float)\]?>", re.IGNORECASE)
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help names values as its user does, not by their Python types."""
+    """A command whose help names values as its user does, and not by their Python types."""
 
     def get_help(self, ctx: Any) -> str:
         """The whole help, without the Python types of arguments."""
         return _TYPE.sub(lambda match: " " * len(match[0]), super().get_help(ctx))
 
-    def get_short_help_str(self, limit: int = 0) -> str:
-        """The first sentence for the list of a group: whole, in as many lines as it takes."""
-        return super().get_short_help_str(max(limit, _LONGEST))
-
 
 class CommandGroup(TyperGroup):
-    """A group whose own options do not load pydantic.
-
-    Typer converts every value of the wrong type with pydantic, whose import takes 0.1 s. A flag that is not given is None, not
-    a bool, so ``--help`` caused this import. Here it is False.
-    """
-
-    def get_short_help_str(self, limit: int = 0) -> str:
-        """The first sentence for the list of a group, whole."""
-        return super().get_short_help_str(max(limit, _LONGEST))
+    """A group whose help does not load pydantic (0.1 s), with which Typer would convert flags that are not given."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The options. Flags are False if they are not given."""

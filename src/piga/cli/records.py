@@ -362,7 +362,10 @@ def backup(
     store: StoreOption,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a verified copy of the store while it is in use: an export of all records."""
+    """Write a verified copy of the store while it is in use.
+
+    It is an export of all records.
+    """
     export(out, store, as_json=as_json)
 
 

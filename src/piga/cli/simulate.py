@@ -26,7 +26,6 @@ from piga.errors import PigaError
 
 if TYPE_CHECKING:
     from piga.platform.chain import ModelComparisonRun
-    from piga.platform.scenario import PlatformScenario
     from piga.platform.simulate import PlatformRun
 
 Scenario = Annotated[Path, argument("SCENARIO.toml", "Scenario file.")]
@@ -135,13 +134,12 @@ def simulate_platform(
 
     Writes readouts.parquet, truth.parquet, the scenario and a page.
     """
-    from piga.platform.scenario import load_scenario
     from piga.platform.simulate import readouts_table, truth_table
     from piga.reports.platform import simulation_page
 
     files = ("readouts.parquet", "truth.parquet", "simulated.toml", "report.html")
     with _results(out, "simulate", scenario, force, as_json, *files) as to:
-        run = _simulated(load_scenario(scenario))
+        run = _simulated(scenario)
         for table, name in zip((readouts_table(run.readouts), truth_table(run)), files, strict=False):
             _parquet(table, to / name)
         (to / "simulated.toml").write_bytes(scenario.read_bytes())
@@ -164,11 +162,10 @@ def align(scenario: Scenario, out: Out, force: ForceOption = False, as_json: Jso
     """
     from piga.platform.chain import prepare
     from piga.platform.identify import align as align_readouts
-    from piga.platform.scenario import load_scenario
     from piga.reports.platform import alignment_page
 
     with _results(out, "align", scenario, force, as_json, "alignment.json") as to:
-        run = _simulated(load_scenario(scenario))
+        run = _simulated(scenario)
         if not run.truth.motion.at_rest:
             raise PigaError(
                 f"{scenario}: alignment needs a base at rest, [motion] kind = '{run.scenario.motion.kind}'",
@@ -197,11 +194,10 @@ def identify(scenario: Scenario, out: Out, force: ForceOption = False, as_json: 
     from piga.platform.chain import sources_of
     from piga.platform.identify import identification_document, identify_growing, observability
     from piga.platform.observation import MOVING_SOURCES, SOURCES
-    from piga.platform.scenario import load_scenario
     from piga.reports.platform import identification_page
 
     with _results(out, "identify", scenario, force, as_json, "identification.json") as to:
-        run = _simulated(load_scenario(scenario))
+        run = _simulated(scenario)
         s = run.scenario
         with progress("identifying") as advance:
             stretch, orders = run.readouts.first(s.calibration_time), s.compensation.orders
@@ -223,11 +219,10 @@ def navigate(scenario: Scenario, out: Out, force: ForceOption = False, as_json: 
     Writes navigation-MODEL.parquet and a page.
     """
     from piga.platform.chain import navigation_table
-    from piga.platform.scenario import load_scenario
     from piga.reports.platform import navigation_page
 
     with _results(out, "navigate", scenario, force, as_json, "navigation-*.parquet") as to:
-        comparison = _compared(load_scenario(scenario))
+        comparison = _compared(scenario)
         files = {name: f"navigation-{name}.parquet" for name in comparison.models}
         for name, run in comparison.models.items():
             _parquet(navigation_table(run), to / files[name])
@@ -255,12 +250,11 @@ def compare(
     import msgspec
 
     from piga.platform.chain import error_budget, line_budget, line_budget_document, standard_sources
-    from piga.platform.scenario import load_scenario
     from piga.reports.platform import comparison_page
     from piga.reports.render.page import write_page
 
     with _results(out, "compare", scenario, force, as_json, "comparison.json", "capstone.html") as to:
-        comparison = _compared(load_scenario(scenario))
+        comparison = _compared(scenario)
         s = comparison.run.scenario
         sources = standard_sources(comparison.preparation.alignment)
         rows = error_budget(s, sources) if budget else ()
@@ -281,18 +275,20 @@ def compare(
         )
 
 
-def _simulated(scenario: PlatformScenario) -> PlatformRun:
+def _simulated(scenario: Path) -> PlatformRun:
+    from piga.platform.scenario import load_scenario
     from piga.platform.simulate import simulate as simulate_readouts
 
     with progress("simulating"):
-        return simulate_readouts(scenario)
+        return simulate_readouts(load_scenario(scenario))
 
 
-def _compared(scenario: PlatformScenario) -> ModelComparisonRun:
+def _compared(scenario: Path) -> ModelComparisonRun:
     from piga.platform.chain import compare as compare_models
+    from piga.platform.scenario import load_scenario
 
     with progress("simulating and navigating") as advance:
-        return compare_models(scenario, progress=advance)
+        return compare_models(load_scenario(scenario), progress=advance)
 
 
 def _results(

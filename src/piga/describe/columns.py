@@ -129,7 +129,6 @@ WORDS: dict[str, str] = {kind: entry["words"] for kind, entry in _KINDS.items()}
 UNITS: dict[str, list[str]] = {kind: entry["units"] for kind, entry in _KINDS.items() if "units" in entry}
 """Units that logs write, by kind."""
 _PLAIN = re.compile(r"[-+]?\d*[.,]?\d*(?:[eE][-+]?\d+)?")
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:[,.' \u00a0]\d{3})+(?:[.,]\d+)?")
 _UNNAMED = re.compile(r"[A-Z]{1,2}|.*\(:,\d+\)|(?:c|ch|col|column|channel|var|field)[ _-]?\d+", re.IGNORECASE)
 """Names that say nothing."""
 _MOST_LEVELS = 2000
@@ -140,7 +139,7 @@ _MOST_LEVELS = 2000
 class ColumnGuess:
     """Guess for one column: its kind, axis (0 to 2) and unit, and the alternatives.
 
-    ``stamp``: form of its time stamps. ``example``: its first cell. ``unwritten``: the log names no unit, it is a guess.
+    ``stamp``: form of its time stamps. ``unwritten``: the log names no unit, it is a guess.
     """
 
     name: str
@@ -150,7 +149,6 @@ class ColumnGuess:
     unit: str = ""
     stamp: str = ""
     alternatives: tuple[str, ...] = ()
-    example: str = ""
     unwritten: bool = False
 
     @property
@@ -215,24 +213,23 @@ def as_told(
         By column: kind, axis and unit, such as ``"angle"``, ``"force x [g]"``. ``angle`` and ``rate`` are those of the output,
         if no other column is the output and they do not stand still.
     """
+    guesses = list(guesses)
     for name, text in told.items():
-        before = next((guess for guess in guesses if name in (guess.name, plain(guess.name))), None)
-        if before is None:
+        place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)
+        if place is None:
             raise ArgumentError(
                 f"--column {name}: there is no such column",
                 remedy=f"the columns are: {', '.join(guess.name for guess in guesses)}",
             )
-        guess, place = _told(before, text), guesses.index(before)
+        before, guess = guesses[place], _told(guesses[place], text)
         unread = before.name not in numbers and not before.stamp
         if unread and guess.kind in (*UNITS, "counts", "pulses"):
-            raise ArgumentError(
-                f"--column {name}={text}: {before.reason}",
-                remedy="name a column of numbers, or repair its cells",
-            )
+            remedy = "name a column of numbers, or repair its cells"
+            raise ArgumentError(f"--column {name}={text}: {before.reason}", remedy=remedy)
         if text.split("[")[0].strip() in ("angle", "rate"):
             kinds = {one.kind for one in guesses if one is not before and one.name in numbers}
-            guess = replace(_turning(guess, numbers, bool(kinds & _OUTPUTS)), reason=TOLD, alternatives=())
-        guesses = [*guesses[:place], guess, *guesses[place + 1 :]]
+            guess = replace(_turning(guess, numbers, bool(kinds & _OUTPUTS)), reason=TOLD)
+        guesses[place] = guess
         guesses[place] = replace(_with_unit(guess, guesses, numbers), alternatives=())
     return guesses
 
@@ -341,7 +338,7 @@ def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> l
 def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> ColumnGuess:
     kind, axis = kind_of_name(name)
     unit = known_unit(logged) or known_unit(unit_in_name(name)[1])
-    guess = ColumnGuess(name, kind, "its name", axis, unit, example=cells[0] if cells else "")
+    guess = ColumnGuess(name, kind, "its name", axis, unit)
     forms = forms_of(cells[:50]) if cells and x is None else []
     if forms:
         return guess.but("time", "its cells are time stamps", *forms[1:], stamp=forms[0], unit="")
@@ -350,19 +347,12 @@ def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> Colum
     if kind in UNITS and unit and not measures(unit, UNITS[kind][0]):
         return _by_unit(guess)
     if x is None and kind not in ("segment", "date"):
-        return guess.but("other", _no_numbers(cells), unit="")
+        example = next((f", such as '{cell[:30]}'" for cell in cells if not _PLAIN.fullmatch(cell)), "")
+        return guess.but("other", f"its cells are not numbers{example}", unit="")
     if kind == "other" and measures(unit, "Hz"):
         why = "its unit is a frequency: piga reads a running count, an angle or a rate such as rev/s, not pulses per second"
         return replace(guess, reason=why)
     return guess
-
-
-def _no_numbers(cells: list[str]) -> str:
-    """Why a column is not one of numbers, with a cell of it."""
-    example = next((cell for cell in cells if not _PLAIN.fullmatch(cell)), "")
-    if _THOUSANDS.fullmatch(example):
-        return f"cells such as '{example}' have thousands separators: export the log without them"
-    return f"its cells are not numbers, such as '{example[:30]}'" if example else "its cells are not numbers"
 
 
 def _by_unit(guess: ColumnGuess) -> ColumnGuess:

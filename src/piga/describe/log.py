@@ -31,8 +31,10 @@ from piga.formats.text.convention import (
     MISSING,
     NO_UNIT,
     HeadRows,
+    TextFormat,
     TextSource,
     find_format,
+    is_units_row,
     joined_names,
     lines_of,
     split_line,
@@ -42,6 +44,7 @@ from piga.formats.text.convention import (
 from piga.formats.text.reader import TextStream, is_number, split_cells
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
+from piga.records.text_files import open_regular
 from piga.results import Array
 
 _MOST_LOG_ROWS = 2_000_000
@@ -100,10 +103,7 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
         What some columns hold, by name: ``{"CH3": "angle [deg]"}``. The others are guessed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise DataError(
-            f"{path}: no such file, or it is a folder, a pipe or a device", remedy="name the log of the test"
-        )
+    open_regular(path, "the log of the test").close()
     if file_kind(path) in TEXT_SUFFIXES:
         return _describe_text(path, told or {})
     return _describe_container(path, told or {})
@@ -111,9 +111,9 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
 
 def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     layout = text_layout(path)
-    decimal, cells = layout.decimal, layout.sample.items()
-    numeric = tuple(name for name, some in cells if _mostly_numbers(some, decimal))
-    label = _label_column(layout.names, layout.sample, told)
+    form, cells = layout.form, layout.sample.items()
+    numeric = tuple(name for name, some in cells if _mostly_numbers(some, form.decimal))
+    label = _label_column(form.names, layout.sample, told)
     stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
     stamp = next(stamps, None)
     read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
@@ -121,19 +121,19 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         path,
         read,
         label,
-        separator=layout.separator,
-        decimal=decimal,
-        encoding=layout.encoding,
+        separator=form.separator,
+        decimal=form.decimal,
+        encoding=form.encoding,
         rows=layout.rows,
         mask_damaged=True,
         stamp=stamp,
     )
     numbers, codes = _collected(stream, read)
     if label in numeric and codes is not None:
-        numbers[label] = _label_numbers(stream.label_names, decimal)[codes]
+        numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
     fills = without_fills(numbers, numeric)
     valued = {name: numbers[name] for name in numeric}
-    columns = as_told(guess_columns(layout.names, layout.units, layout.sample, valued), told, valued)
+    columns = as_told(guess_columns(form.names, form.units, layout.sample, valued), told, valued)
     labels = tuple(stream.label_names)
     return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels, fills)
 
@@ -229,33 +229,31 @@ def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
     return max(groups.values(), key=known_names)
 
 
-def _numbers_of(
-    path: Path, sheet: str | None, names: list[str], missing: tuple[str, ...] = ()
-) -> tuple[dict[str, Array], dict[str, str]]:
+def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
     """Values and units of the columns that hold numbers. Those that a refusal names are read again, one by one.
 
     One word in some cells of a sheet marks a missing value.
     """
-    if not names:
-        return {}, {}
-    try:
-        stream = columns_stream(path, tuple(names), sheet=sheet, missing=missing)
-        return _collected(stream, tuple(names))[0], dict(stream.units)
-    except PigaError as error:
-        refused = names if error.where is None else [name for name in names if name in error.where.columns]
-        word = next((fix.value for fix in error.fixes if fix.key == "missing"), None)
-    if len(names) > 1:
-        single = [[name] for name in refused or names]
-        parts = [_numbers_of(path, sheet, [name for name in names if [name] not in single])]
-        parts += [_numbers_of(path, sheet, one) for one in single]
-        numbers = {name: column for read, _ in parts for name, column in read.items()}
-        units = {name: unit for _, read in parts for name, unit in read.items()}
-        return {name: numbers[name] for name in names if name in numbers}, units
-    if word is None or missing:
-        return {}, {}
-    numbers, units = _numbers_of(path, sheet, names, tuple(word))
-    empty = [np.mean(np.isnan(column)) for column in numbers.values()]
-    return (numbers, units) if empty and empty[0] <= _MOST_WORDS else ({}, {})
+    numbers: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    parts: list[tuple[list[str], tuple[str, ...]]] = [(names, ())]
+    for part, missing in parts:  # grows in the loop
+        try:
+            stream = columns_stream(path, tuple(part), sheet=sheet, missing=missing)
+            read = _collected(stream, tuple(part))[0]
+        except PigaError as error:
+            word = next((fix.value for fix in error.fixes if fix.key == "missing"), ())
+            if len(part) > 1:
+                refused = [name for name in part if error.where is None or name in error.where.columns] or part
+                parts += [(rest, ()) for rest in [[name for name in part if name not in refused]] if rest]
+                parts += [([name], ()) for name in refused]
+            elif word and not missing:
+                parts.append((part, tuple(word)))
+            continue
+        if not missing or np.mean(np.isnan(read[part[0]])) <= _MOST_WORDS:
+            numbers |= read
+            units |= stream.units
+    return {name: numbers[name] for name in names if name in numbers}, units
 
 
 def _columns_by_sheet(path: Path) -> dict[str | None, tuple[str, ...]]:
@@ -306,12 +304,8 @@ class TextLayout:
     holds names: the columns are then A, B, C.
     """
 
-    encoding: str
-    separator: str
-    decimal: str
+    form: TextFormat
     rows: HeadRows
-    names: tuple[str, ...]
-    units: dict[str, str]
     sample: dict[str, list[str]]
     guesses: dict[str, Guess]
     facts: dict[str, Guess]
@@ -328,14 +322,14 @@ def text_layout(path: Path) -> TextLayout:
         except DataError:
             continue
         layouts.append(_layout(head, path, encoding))
-    best = max(layouts, key=lambda one: known_names(one.names))
-    if best.encoding in ("utf-8", "ascii"):
+    best = max(layouts, key=lambda one: known_names(one.form.names))
+    if best.form.encoding in ("utf-8", "ascii"):
         return best
-    others = tuple(one.encoding for one in layouts if one is not best)
+    others = tuple(one.form.encoding for one in layouts if one is not best)
     why = "the bytes are not UTF-8, and the column names are words in this encoding"
     if len(tried) == 1:
         why = "the file has a byte-order mark"
-    return replace(best, guesses=best.guesses | {"encoding": Guess(best.encoding, why, others)})
+    return replace(best, guesses=best.guesses | {"encoding": Guess(best.form.encoding, why, others)})
 
 
 @dataclass(frozen=True)
@@ -358,12 +352,12 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
             remedy="check that this is the log; columns are separated by ; , | a tab or blanks",
         )
     table = max(tables, key=lambda one: (one.width > 1, one.separator != " ", one.values))
-    header, units_at = _heads(lines, table)
-    upper = None if header is None else _upper(lines, header, table)
+    names_in, units_at = _heads(lines, table)
     body = [_cells(line, table.separator) for line in lines[table.start :] if line.strip()]
     decimal = _decimal(body, table.separator)
-    names_at = False if header is None else header + 1 if upper is None else (upper + 1, header + 1)
-    rows = HeadRows(table.start if header is None else 0, names_at, False if units_at is None else units_at + 1)
+    above = names_in[0] - 1 if names_in else table.start
+    names_at = names_in if len(names_in) > 1 else names_in[0] if names_in else False
+    rows = HeadRows(0 if names_in else above, names_at, units_at or False)
     form = find_format(head, path, encoding, table.separator, decimal.value, rows)
     sample = {
         name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
@@ -373,32 +367,21 @@ def _layout(head: str, path: Path, encoding: str) -> TextLayout:
     shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
     split = f"{shown} splits {table.rows} rows into {table.width} cells each"
     guesses = {"delimiter": Guess(table.separator, split), "decimal": decimal}
-    above = table.start if header is None else header if upper is None else upper
-    if names_at != 1 or _bare(lines[header or 0]) != lines[header or 0]:
+    if names_at != 1 or _bare(lines[0]) != lines[0]:
         skipped = (
             f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble" if above else ""
         )
         why = f"the first row above the numbers with {len(form.names)} names{skipped}"
-        if header is None:
+        if not names_in:
             why = f"the numbers begin in row {above + 1}, and no row above names them: A, B, C{skipped}"
-        elif upper is not None:
+        elif len(names_in) > 1:
             why = "the names stand over two rows"
         guesses["header_row"] = Guess(names_at, why)
     if rows.skip:
         guesses["skip_rows"] = Guess(rows.skip, "lines before the numbers")
-    if units_at is not None:
-        guesses["units_row"] = Guess(units_at + 1, "it holds units and no numbers")
-    return TextLayout(
-        encoding,
-        table.separator,
-        decimal.value,
-        rows,
-        form.names,
-        form.units,
-        sample,
-        guesses,
-        _facts(lines[:above]),
-    )
+    if units_at:
+        guesses["units_row"] = Guess(units_at, "it holds units and no numbers")
+    return TextLayout(form, rows, sample, guesses, _facts(lines[:above]))
 
 
 def _bare(line: str) -> str:
@@ -452,37 +435,24 @@ def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -
     return 2 * values >= len(cells) and numbers > 0 and width in (None, len(cells))
 
 
-def _heads(lines: list[str], table: _TextTable) -> tuple[int | None, int | None]:
-    """Rows of the names and of the units above the first data row (0-based)."""
-    above = [k for k in range(table.start) if lines[k].strip()]
-    wide = [k for k in above[-3:] if abs(len(_cells(_bare(lines[k]), table.separator)) - table.width) <= 1]
+def _heads(lines: list[str], table: _TextTable) -> tuple[tuple[int, ...], int | None]:
+    """Rows of the names above the first data row, counted from 1: none, one, or two over which they stand; row of the units."""
+    above = [k for k in range(table.start) if lines[k].strip()][-2:]
+    rows = {k: tuple(_cells(_bare(lines[k]), table.separator)) for k in above}
+    wide = [k for k in above if abs(len(rows[k]) - table.width) <= 1]
     if not wide or wide[-1] != above[-1]:
-        return None, None
-    last = _cells(lines[wide[-1]], table.separator)
-    marks = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
-    bracketed = all(re.fullmatch(r"[\[(（].*[\])）]", cell) or cell in NO_UNIT for cell in last)
-    names = known_names(last)
-    if (
-        len(wide) > 1
-        and wide[-2] == above[-2]
-        and any(known_unit(unit_text(cell)) for cell in last)
-        and not any(units_in_names((cell,))[1] for cell in last)  # name (unit)
-        and (bracketed or (2 * len(marks) >= len(last) and len(marks) > names))
-    ):
-        return wide[-2], wide[-1]
-    return wide[-1], None
-
-
-def _upper(lines: list[str], header: int, table: _TextTable) -> int | None:
-    """The row above the names, if the names say more together with it: ``Force`` over ``X``, ``Y``, ``Z``."""
-    if header == 0:
-        return None
-    cells = tuple(_cells(_bare(lines[header]), table.separator))
-    above = tuple(_cells(_bare(lines[header - 1]), table.separator))
-    joined = joined_names(above, cells)
-    alone, together = (known_names(units_in_names(names)[0]) for names in (cells, joined))
-    each = len(above) == len(cells) and all(cell and not _is_value(cell) for cell in above)
-    return header - 1 if 1 < len(above) <= len(cells) and together >= alone + (not each) else None
+        return (), None
+    at, units_at = wide[-1], None
+    last, first = (_cells(lines[k], table.separator) for k in (at, table.start))
+    units = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
+    if len(wide) > 1 and len(units) > max(known_names(last), len(last) // 2 - 1) and is_units_row(last, first):
+        at, units_at = wide[-2], at + 1
+    names, upper = rows[at], tuple(_cells(_bare(lines[at - 1]), table.separator)) if at else ()
+    if not 1 < len(upper) <= len(names):
+        return (at + 1,), units_at
+    alone, together = (known_names(units_in_names(one)[0]) for one in (names, joined_names(upper, names)))
+    each = len(upper) == len(names) and all(cell and not _is_value(cell) for cell in upper)
+    return (at, at + 1) if together >= alone + (not each) else (at + 1,), units_at
 
 
 def _decimal(body: list[list[str]], separator: str) -> Guess:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import UNITS, ColumnGuess, Values, kind_of_name, plain
+from piga.describe.columns import ColumnGuess, Values, kind_of_name, plain
 from piga.describe.draft import RunFileDraft, number_in
 from piga.describe.log import LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
@@ -167,10 +167,6 @@ def _fills(draft: RunFileDraft, log: LogDescription) -> None:
 
 _PROBLEMS = 8
 """Most problems that are solved one after the other."""
-_ROWS = 100_000
-"""Rows on which a unit is judged."""
-_RATIO = 1.5
-"""Largest ratio of the output to that of the nominal scale factor."""
 _TRIED: dict[str, tuple[Any, ...]] = {
     "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
     "counter_bits": (16, 24, 32),
@@ -193,7 +189,7 @@ Change = tuple[str, str, Any, str]
 
 
 def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
-    """Lines that solve what is open with a run file. Every line was put into the file, and the log was read again.
+    """Lines with which a refused log can be read. Every line was put into the file, and the log was read again.
 
     A line that leads to another problem is kept if further lines solve that one. If only one of several lines lets the
     log be read, the others are left out. The list is empty if no lines let the log be read. ``content`` is the text of a
@@ -206,17 +202,17 @@ def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
     kept: list[Change] = []
     for _ in range(_PROBLEMS):
         outcome = _read(path, document)
-        working = _working(path, document, outcome)
-        new = [change for change in working if change[:3] not in [known[:3] for known in kept]]
+        if isinstance(outcome, Run):
+            return [
+                Suggestion(table, f"{toml_key(key)} = {_shown(value)}", why) for table, key, value, why in kept
+            ]
+        known = [change[:3] for change in kept]
+        new = [change for change in _working(path, document, outcome) if change[:3] not in known]
         if not new:
             break
         kept += new
         document = _changed(document, new[0])
-    if isinstance(_read(path, document), PigaError):
-        return []
-    return [
-        Suggestion(table, f"{toml_key(key)} = {_shown(value)}", reason) for table, key, value, reason in kept
-    ]
+    return []
 
 
 def _shown(value: Any) -> str:
@@ -233,11 +229,8 @@ def _read(path: Path, document: Document) -> Run | PigaError:
         return error
 
 
-def _working(path: Path, document: Document, before: Run | PigaError) -> list[Change]:
+def _working(path: Path, document: Document, before: PigaError) -> list[Change]:
     """The changes with which the log can be read, or else those that lead to another problem."""
-    if isinstance(before, Run):
-        units = [(change, _read(path, _changed(document, change))) for change in _other_units(before, document)]
-        return [change for change, after in units if isinstance(after, Run) and _plausible(after)]
     changes = {(table, key, toml_value(value)): (table, key, value, why)
                for table, key, value, why in _of_error(before, document)}  # fmt: skip
     tried = [(change, _read(path, _changed(document, change))) for change in changes.values()]
@@ -252,24 +245,6 @@ def _working(path: Path, document: Document, before: Run | PigaError) -> list[Ch
 def _problem(error: PigaError) -> str:
     """The message of an error without the columns, whose letters depend on the encoding."""
     return error.message.partition("; the columns are")[0]
-
-
-def _plausible(run: Run) -> bool:
-    """True if the output turns about as fast as the nominal scale factor says, or the reference is of the size of g."""
-    if any(event.kind == "implausible-unit" for event in run.quality.events):
-        return False
-    some = slice(0, min(run.size, _ROWS))
-    a_x, t = run.f[some, 0], run.t[some]
-    if run.kind == "rate":
-        turned, force = run.output[some], a_x
-    else:
-        inside = ~run.begins[some][1:]
-        turned, force = (np.diff(run.output[some]) / np.diff(t))[inside], a_x[1:][inside]
-    strong = np.abs(force) > 0.2 * np.abs(force).max(initial=0.0)
-    if not strong.any():
-        return False
-    ratio = float(np.median(np.abs(turned[strong] / (run.scale_factor * force[strong]))))
-    return 1.0 / _RATIO < ratio < _RATIO
 
 
 def _changed(document: Document, change: Change) -> dict[str, Any]:
@@ -305,21 +280,6 @@ def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document
                 text = text.replace(f'"{name}"', toml_value(near[name]))
             reason = ", ".join(f"instead of '{name}', which is not in the file" for name in names)
             changes.append(("data", key, tomllib.loads(f"value = {text}")["value"], reason))
-    return changes
-
-
-def _other_units(run: Run, document: Document) -> list[Change]:
-    """Other units of the output and of the reference, where one of them is implausible."""
-    events = [event for event in run.quality.events if event.kind == "implausible-unit"]
-    data, changes = document.get("data", {}), list[Change]()
-    for event in events:
-        key = "reference" if "|f|" in event.detail else "output"
-        table = data.get(key)
-        if isinstance(table, Mapping) and "unit" in table:
-            units = UNITS["force" if key == "reference" else "rate" if table.get("kind") == "rate" else "angle"]
-            changes += [
-                ("data", key, {**table, "unit": unit}, event.detail) for unit in units if unit != table["unit"]
-            ]
     return changes
 
 

@@ -148,15 +148,7 @@ def _from_input_axis(
             f"CHECK: the output turns with {names[first]}, so this is X0; Y0 and Z0 follow in the sense of rotation"
         )
         names = [*names[first:], *names[:first]]
-    if related[first] < 0.0 and abs(related[first]) >= _LEAST_RELATED:
-        _falls(draft, f"the output falls where {names[0]} is positive")
     return names, words
-
-
-def _falls(draft: RunFileDraft, why: str) -> None:
-    """Turn the output round: it falls with the specific force along X0."""
-    draft.document["data"]["output"]["direction"] = -1
-    draft.comments.setdefault("data.output", []).append(f"direction = -1: {why}")
 
 
 def _seconds(draft: RunFileDraft, log: LogDescription, count: int) -> Array | None:
@@ -205,15 +197,8 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
     counts = log.facts.get("instrument.counts_per_revolution")
     if counts is not None and "counts_per_revolution" not in own and number_in(counts.value) > 0.0:
         draft.put("instrument.counts_per_revolution", number_in(counts.value), counts.reason)
-    if output is None:
-        return
-    speed = log.of("stand-speed")[:1]
-    if draft.document.get("stand", {}).get("kind") == "centrifuge" and speed:
-        read = _rate_and_level(draft, log, output, log.numbers[speed[0].name] ** 2)
-        if read is not None and _correlation(*read) < -_LEAST_RELATED:
-            _falls(draft, "the output falls where the arm is fast")
-    slope = _slope(draft, log, output)
-    if slope is None:
+    slope = None if output is None else _slope(draft, log, output)
+    if output is None or slope is None:
         return
     if "scale_factor" in own:
         if output.kind in COUNTED and "counts_per_revolution" not in own:
@@ -253,21 +238,30 @@ def _counts_of(draft: RunFileDraft, slope: float) -> None:
         draft.comments.setdefault("instrument.", []).append(why)
 
 
-def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> float | None:
-    """Rate of the output over specific force along X0 [units/s per m/s^2], from the force columns of the log."""
-    reference = draft.document["data"].get("reference")
+def _force(draft: RunFileDraft, log: LogDescription) -> tuple[Array | None, float, str]:
+    """Specific force along X0 by row, its unit [m/s^2], and where it is large. The unit is nan for an arm of unknown radius."""
+    reference, kind = draft.document["data"].get("reference"), draft.document.get("stand", {}).get("kind")
+    angle, speed = log.of("stand-angle")[:1], log.of("stand-speed")[:1]
     if isinstance(reference, Mapping):
-        force = log.numbers.get(str(next(iter(reference.get("columns", ("",))))))
-        factor = parse_unit(str(reference["unit"])).factor
-    elif draft.document.get("stand", {}).get("kind") == "dividing-head" and log.of("stand-angle"):
-        column = log.of("stand-angle")[0]
-        force, factor = np.cos(log.numbers[column.name] * parse_unit(column.unit).factor), G0
-    else:
-        return None
+        name = str(next(iter(reference.get("columns", ("",)))))
+        return log.numbers.get(name), parse_unit(str(reference["unit"])).factor, f"{name} is positive"
+    if kind == "dividing-head" and angle:
+        column = np.cos(log.numbers[angle[0].name] * parse_unit(angle[0].unit).factor)
+        return column, G0, "the input axis points up"
+    return (
+        log.numbers[speed[0].name] ** 2 if kind == "centrifuge" and speed else None,
+        math.nan,
+        "the arm is fast",
+    )
+
+
+def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> float | None:
+    """Rate of the output over specific force along X0 [units/s per m/s^2]. A falling output is turned round."""
+    force, unit, where = _force(draft, log)
     read = _rate_and_level(draft, log, output, force)
     if read is None:
         return None
-    rate, level = read[0], read[1] * factor
+    rate, level = read
     good = (
         np.isfinite(rate) & np.isfinite(level) & (np.abs(level) > 0.3 * np.nanmax(np.abs(level), initial=0.0))
     )
@@ -276,9 +270,11 @@ def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> flo
     slope = float(np.median(rate[good] / level[good]))
     good &= np.abs(rate - slope * level) < 0.2 * np.abs(slope * level)  # no folds, no moves
     mean = float(np.sum(rate[good] * level[good]) / np.sum(level[good] ** 2)) if good.any() else 0.0
-    if mean < 0.0 and "direction" not in draft.document["data"]["output"]:
-        _falls(draft, "it falls where the input axis points up")
-    return abs(mean) if mean else None
+    turned = draft.document["data"]["output"]
+    if mean < 0.0 and "direction" not in turned:
+        turned["direction"] = -1
+        draft.comments.setdefault("data.output", []).append(f"direction = -1: the output falls where {where}")
+    return abs(mean) / unit if mean and math.isfinite(unit) else None
 
 
 EARTH = (

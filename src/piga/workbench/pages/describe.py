@@ -153,7 +153,7 @@ def _preview(described: LogDescription) -> list[tuple[str, ...]]:
         if layout is not None and column.name in layout.sample:
             return layout.sample[column.name][:_ROWS]
         numbers = described.numbers.get(column.name, ())[:_ROWS]
-        return [significant(float(value), 7) for value in numbers] or [column.example]
+        return [significant(float(value), 7) for value in numbers]
 
     return list(zip_longest(*map(cells, described.columns), fillvalue=""))
 
