@@ -27,7 +27,6 @@ from piga.cli.common import (
     deliver_file,
     files_named_in,
     flag,
-    names_in,
     note,
     option,
     progress,
@@ -85,8 +84,9 @@ def calibrate(
         with progress("calibrating") as advance:
             from piga.calibration.calibrate import calibrate as estimate
 
-            chosen = (items, names_in(terms), method)
-            calibration = estimate(*chosen, phases=phases, per_run=names_in(per_run), progress=advance)
+            calibration = estimate(
+                items, _names(terms), method, phases=phases, per_run=_names(per_run), progress=advance
+            )
         with progress("writing the report" if report else "writing"):
             write_results(calibration, to.stage, report=report)
             for item in items if summary else []:
@@ -94,6 +94,10 @@ def calibrate(
                     made = RunSummary.of(item)
                     made.to_json(to / f"summary-{made.name}.json")
         to.tell(lambda: to_document(calibration), calibration.summary)
+
+
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _calibrate_set(

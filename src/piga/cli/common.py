@@ -233,11 +233,6 @@ def day_in(text: str, option: str, also: str = "") -> dt.datetime:
     return time if time.tzinfo else time.replace(tzinfo=dt.UTC)
 
 
-def names_in(text: str | None) -> list[str] | None:
-    """The names of an option ``A,B,...``; None if it is not given."""
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
-
-
 Show = Callable[[float, float | None, str], None]
 """Function that shows progress: work done, the whole work if known, and what comes now (:mod:`piga.progress`)."""
 

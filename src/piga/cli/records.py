@@ -29,22 +29,15 @@ from piga.output import is_hidden
 if TYPE_CHECKING:
     from piga.ledger import Reproduced
     from piga.ledger.store import Record
-    from piga.ledger.store.documents import Head
     from piga.ledger.store.store import Store
     from piga.ledger.store.transfer import Verification
     from piga.trend.history import HistoryEntry
 
 
-def _store_name(where: str) -> str:
-    """Name of the store as printed, without the password of a URL."""
-    from piga.ledger.store.database import Database
-
-    return Database(where).name
-
-
-def _tell(where: str, head: Head, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
+def _tell(kept: Store, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
     """What a command found in a store, with the head that proves it."""
-    place = {"store": _store_name(where), "head": head.sha256}
+    head = kept.head()
+    place = {"store": kept.name, "head": head.sha256}
     tell(as_json, place | document, [*lines, f"{counted(head.number, 'record')}, head {head.sha256}"])
 
 
@@ -198,16 +191,14 @@ def list_records(
 ) -> None:
     """List the records."""
     with opened(store) as kept:
-        head, listed = kept.head(), kept.records(serial)
-    old = {record.document.supersedes for record in listed}
-    _tell(
-        store, head, as_json, {"records": list(map(_record_document, listed))},
-        (
+        listed = kept.records(serial)
+        old = {record.document.supersedes for record in listed}
+        lines = (
             f"{r.number:5d}  {r.id}  {r.measured:%Y-%m-%d}  {r.document.serial}  {r.document.operator}"
             + ("  superseded" if r.id in old else "")
             for r in listed
-        ),
-    )  # fmt: skip
+        )
+        _tell(kept, as_json, {"records": list(map(_record_document, listed))}, lines)
 
 
 @app.command()
@@ -224,15 +215,15 @@ def show(
     from piga.records.calibration.document import to_document
 
     with opened(store) as kept:
-        shown, head = kept.record(record), kept.head()
+        shown = kept.record(record)
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
+        lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
         if extract is not None:
             extract.mkdir(parents=True, exist_ok=True)
             kept.extract(shown.id, extract)
-    result = None if calibration is None else to_document(calibration)
-    lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
-    lines += [] if extract is None else [f"wrote {len(shown.document.files)} files to {extract}"]
-    _tell(store, head, as_json, _record_document(shown) | {"calibration": result}, lines)
+            lines.append(f"wrote {len(shown.document.files)} files to {extract}")
+        result = None if calibration is None else to_document(calibration)
+        _tell(kept, as_json, _record_document(shown) | {"calibration": result}, lines)
 
 
 @app.command()
@@ -246,8 +237,8 @@ def diff(
     from piga.ledger.evidence import difference
 
     with opened(store) as kept:
-        document, head = difference(kept, first, second), kept.head()
-    _tell(store, head, as_json, document, _difference_lines(document))
+        document = difference(kept, first, second)
+        _tell(kept, as_json, document, _difference_lines(document))
 
 
 @app.command()
@@ -261,7 +252,6 @@ def verify(
 
     If something is wrong it says what, and exits with 2.
     """
-    from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
     from piga.ledger.store.database import is_url
     from piga.ledger.store.transfer import verify as check
     from piga.records.text_files import open_regular
@@ -324,11 +314,11 @@ def import_export(
     """
     from piga.ledger.store.transfer import Export, import_records
 
-    with Export(archive), opened(store, create=True) as kept, progress("importing"):
-        added = import_records(kept, archive, operator, reason)
-        head = kept.head()
-    document = {"added": added, "records": head.number}
-    _tell(store, head, as_json, document, [f"imported {counted(len(added), 'record')} from {archive}"])
+    with Export(archive), opened(store, create=True) as kept:
+        with progress("importing"):
+            added = import_records(kept, archive, operator, reason)
+        document = {"added": added, "records": kept.head().number}
+        _tell(kept, as_json, document, [f"imported {counted(len(added), 'record')} from {archive}"])
 
 
 @app.command()
@@ -350,8 +340,7 @@ def reproduce(
             for number, name in enumerate(names):
                 show(number, len(names), name)
                 documents.append(_reproduced_document(recompute(kept, name)))
-        head = kept.head()
-    _tell(store, head, as_json, {"records": documents}, map(_reproduced_line, documents))
+        _tell(kept, as_json, {"records": documents}, map(_reproduced_line, documents))
     if any(one["verdict"] == "different" for one in documents):
         raise typer.Exit(2)
 
@@ -379,12 +368,12 @@ def restore(
 
     The store must not exist.
     """
-    from piga.ledger.store import open_store  # noqa: F401 - says so when the extra is missing
+    from piga.ledger.store.database import Database
     from piga.ledger.store.transfer import restore as make
 
     with progress("restoring"):
         restored = make(source, store)
-    _tell_written(Path(_store_name(store)), restored, as_json)
+    _tell_written(Path(Database(store).name), restored, as_json)
 
 
 # -- trend ---------------------------------------------------------------------------------------------
@@ -429,18 +418,12 @@ def history(sources: list[Path], store: str | None, serial: str | None) -> Itera
         raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
     if serial is None:
         raise PigaError("--store needs the instrument", remedy="add --serial")
-    from piga.ledger.store import open_store
-
-    with open_store(store) as opened:
-        calibrations = opened.history(serial)
+    with opened(store) as kept:
+        calibrations = kept.history(serial)
         if not calibrations:
-            kept = sorted({record.document.serial for record in opened.records()})
-            raise PigaError(
-                f"{store}: holds no record of '{serial}'",
-                remedy=f"--serial is one of: {', '.join(kept[:9])}"
-                if kept
-                else "add records: piga records add",
-            )
+            serials = ", ".join(sorted({record.document.serial for record in kept.records()})[:9])
+            remedy = f"--serial is one of: {serials}" if serials else "add records: piga records add"
+            raise PigaError(f"{store}: holds no record of '{serial}'", remedy=remedy)
         yield from calibrations
 
 
