@@ -14,10 +14,8 @@ from piga.records.run_file import Columns, ColumnTable
 from piga.stand import (
     Centrifuge,
     Composite,
-    DividingHead,
     Imperfections,
     LoggedProfile,
-    SpinPlan,
     force_change,
     sample_stand,
 )
@@ -97,15 +95,12 @@ def test_table_says_what_the_lab_assumes_and_what_is_felt():
         sample_stand(HEAD, 1.0, errors=Imperfections(arm_radius=1e-3))
 
 
-SHORT_HEAD = DividingHead(SITE, (0.0, 1.0), dwell=4.0, move=2.0)
-
-
 def test_bad_parts() -> None:
     with pytest.raises(ArgumentError, match="radius"):
-        Centrifuge(SITE, 0.0, SpinPlan((1.0,), 1.0, 1.0))
+        Centrifuge(SITE, 0.0, SPIN)
     with pytest.raises(ArgumentError, match="no parts"):
         Composite(())
     with pytest.raises(ArgumentError, match="pause"):
-        Composite((SHORT_HEAD,), pause=0.0)
+        Composite((HEAD,), pause=0.0)
     with pytest.raises(ArgumentError, match="2 rows of three finite numbers"):
         LoggedProfile(np.array([0.0, 1.0]), np.zeros((2, 3)), np.full((2, 3), np.nan))

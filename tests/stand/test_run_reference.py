@@ -29,11 +29,10 @@ positions = "0:360:15 deg"
 """
 
 
-def edited(folder: Path, *, stand: str = STAND, uncertainty: str = "", keep_reference: bool = False) -> Path:
+def edited(folder: Path, *, stand: str = STAND, uncertainty: str = "") -> Path:
     path = copy_example(folder)
     lines = path.read_text().split("[uncertainty]")[0].splitlines()
-    if not keep_reference:
-        lines = [line for line in lines if not line.startswith(("reference =", "base_rate ="))]
+    lines = [line for line in lines if not line.startswith(("reference =", "base_rate ="))]
     path.write_text("\n".join(lines) + stand + uncertainty)
     return path
 
@@ -81,12 +80,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, stand: str, uncertainty: s
     assert str(path) in str(caught.value)
 
 
-def test_stand_entries_need_a_stand_and_one_that_has_them(tmp_path: Path) -> None:
-    alone = edited(
-        tmp_path, stand="\n", uncertainty='[uncertainty]\nlevelling = "1 arcsec"\n', keep_reference=True
-    )
-    with pytest.raises(piga.RunFileError, match="levelling: belongs to a stand"):
-        piga.read_run(alone)
+def test_stand_entries_need_a_stand_that_has_them(tmp_path: Path) -> None:
     wrong = piga.read_run(edited(tmp_path, uncertainty='[uncertainty]\narm_radius = "1 um"\n'))
     with pytest.raises(
         piga.RunFileError, match=r"\[uncertainty\] arm_radius does not exist on a dividing-head"

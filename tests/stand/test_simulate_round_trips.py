@@ -151,13 +151,7 @@ def test_calibration_finds_the_truth_of_every_stand(kind, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "kind",
-    [
-        kind if kind in ("dividing-head", "centrifuge") else pytest.param(kind, marks=pytest.mark.slow)
-        for kind in SHORT
-    ],
-)
+@pytest.mark.parametrize("kind", ["dividing-head", "centrifuge"])
 def test_calibration_of_a_twin_run_is_off_by_the_predicted_model_error(kind, tmp_path):
     """Within the uncertainty plus the predicted model error; taken off first, within the uncertainty."""
     stand, sample_rate = SHORT[kind]

@@ -15,17 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
-from piga.results import Array, Plotted, Result
-from piga.upper import doors
-
-if TYPE_CHECKING:
-    from piga.reports.render.figure import Figure
+from piga.results import Array, Result
 
 Kind = Literal["allan", "modified", "hadamard"]
 ORDERS: dict[Kind, int] = {"allan": 2, "modified": 2, "hadamard": 3}
@@ -45,10 +41,8 @@ _FINEST = 1000.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AllanDeviation(Result, Plotted):
+class AllanDeviation(Result):
     """Overlapping deviation of a rate: one entry per averaging time.
-
-    ``plot()`` shows the deviation with its 68 % band.
 
     Attributes
     ----------
@@ -71,10 +65,6 @@ class AllanDeviation(Result, Plotted):
     degrees_of_freedom: Array
     stretches: NDArray[np.int64]
     kind: Kind = "allan"
-
-    def figure(self) -> Figure:
-        """The deviation with its 68 % band."""
-        return doors().shown_noise().deviation_figure(self)
 
 
 def allan_deviation(

@@ -204,21 +204,33 @@ class Prediction(Result):
         return coverage_factor(self.degrees(name) * (whole / max(self.std(name), 1e-300)) ** 4) * whole
 
 
-def _reduced(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Design, str, RunSummary]:
+def _reduced(request: PlanRequest, run: Run) -> tuple[Design, str, RunSummary]:
     """Columns of the noiseless record of a test, mode of its weights, and its summary."""
-    run, noise, wish = noiseless_run(request, visits), _noise_of(request), request_of(request.model)
+    noise, wish = _noise_of(request), request_of(request.model)
     noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
     return design, mode, bare_summary("", wish, design, noise, reduce_positions(design, mode, noise))
 
 
-def _reduced_in_parts(request: PlanRequest, visits: tuple[Visit, ...]) -> RunSummary:
-    """Summary of a noiseless test in several records, so that many candidates need little memory."""
-    longest = max(visit.dwell for visit in visits) + request.move
-    wanted = math.ceil(len(visits) * longest / request.scenario.electronics.interval / _SAMPLES)
-    chosen = np.array_split(np.arange(len(visits)), max(min(wanted, len(visits) // 2), 1))
-    return _joined(request, [_reduced(request, tuple(visits[k] for k in one))[2] for one in chosen])
+def _reduced_tests(request: PlanRequest, candidates: tuple[Candidate, ...], dwells: Array) -> list[RunSummary]:
+    """Summary of a noiseless test of all candidates for each of the ``dwells``: the longest, cut to the shorter ones.
+
+    It is in several records, so that many candidates need little memory.
+    """
+    interval, longest = request.scenario.electronics.interval, float(dwells[-1])
+    records = math.ceil(len(candidates) * (longest + request.move) / interval / _SAMPLES)
+    parts = []
+    for chosen in np.array_split(np.arange(len(candidates)), max(min(records, len(candidates) // 2), 1)):
+        run = noiseless_run(request, tuple(Visit(candidates[k], longest) for k in chosen))
+        reduced = []
+        for dwell in dwells[::-1]:
+            since = run.t - run.t[run.segment_edges()[:-1]][run.segment_index]
+            late = since > dwell + 0.5 * interval
+            run = run.without(late) if late.any() else run
+            reduced.append(_reduced(request, run)[2])
+        parts.append(reduced[::-1])
+    return [_joined(request, of_dwell) for of_dwell in zip(*parts, strict=True)]
 
 
 def _joined(request: PlanRequest, parts: Sequence[RunSummary]) -> RunSummary:
@@ -251,10 +263,7 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], 
     IdentifiabilityError
         If all candidates together, each visited twice, cannot determine the terms.
     """
-    tests = [
-        _reduced_in_parts(request, tuple(Visit(candidate, float(dwell)) for candidate in candidates))
-        for dwell in dwells
-    ]
+    tests = _reduced_tests(request, candidates, dwells)
     try:
         fit = _solved(request, _joined(request, 2 * tests[:1]))
     except IdentifiabilityError as error:
@@ -285,7 +294,7 @@ def predict(request: PlanRequest, name: str, visits: tuple[Visit, ...]) -> Predi
     """Predicted uncertainty of a test, from the estimator itself; ``refusal`` if the calibration would refuse the record."""
     duration = sum(visit.dwell for visit in visits) + request.move * (len(visits) - 1)
     try:
-        design, mode, summary = _reduced(request, visits)
+        design, mode, summary = _reduced(request, noiseless_run(request, visits))
         fit = _solved(request, summary)
     except IdentifiabilityError as error:
         return Prediction(name, visits, duration, refusal=_of_plan(error))

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from piga.noise.analysis import NoiseAnalysis, level_unit
-from piga.noise.deviations import ONE_SIGMA, AllanDeviation, NoiseLevel, level_variances
+from piga.noise.deviations import ONE_SIGMA, NoiseLevel, level_variances
 from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
-from piga.units import ARCSEC, MICRO_G
+from piga.units import MICRO_G
 
 NAMES = {
     "quantisation": "quantisation Q",
@@ -30,17 +30,6 @@ _ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "warni
 def figures(noise: NoiseAnalysis) -> dict[str, Callable[[], Figure]]:
     """The figures by name."""
     return {"deviations": partial(_deviations_figure, noise), "spectrum": partial(spectrum_figure, noise)}
-
-
-def deviation_figure(deviation: AllanDeviation) -> Figure:
-    """A deviation by itself, with its 68 % band."""
-    plot = Plot(
-        "allan-deviation", "Allan deviation of the rate.", "log averaging time [s]",
-        "log Allan deviation of the rate [arcsec/s]", height=3.4,
-    )  # fmt: skip
-    plot.band(deviation.tau, deviation.lower / ARCSEC, deviation.upper / ARCSEC, "68 % band")
-    plot.marked(deviation.tau, deviation.deviation / ARCSEC, deviation.kind, "after")
-    return plot.caption("Overlapping deviation with its 68 % band. Stretches are pooled, not joined.")
 
 
 def _deviations_figure(noise: NoiseAnalysis) -> Figure:
