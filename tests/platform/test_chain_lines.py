@@ -285,8 +285,18 @@ def test_the_budget_shows_the_lines_of_each_misalignment():
 
 
 @long
-@pytest.mark.parametrize(("kind", "hours"), [("static", 6.0), ("static", 24.0), ("sway", 12.0), ("turn", 12.0)])
-def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, hours):
+@pytest.mark.parametrize(
+    ("kind", "hours", "changes"),
+    [
+        ("static", 6.0, {}),
+        ("static", 24.0, {}),
+        ("sway", 12.0, {}),
+        ("turn", 12.0, {}),
+        ("static", 26.0, {"place": Place(-35.0 * DEG)}),
+        ("static", 8.0, {"equatorial_rotation": Rotation(W2), "redundancy": 2.0 * DEG}),
+    ],
+)
+def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, hours, changes):
     """No model: the neighbours at ``+- Earth rate`` are as large as the line itself, and do not leak into it."""
     motion = {"static": MotionPlan(heading=HEADING), "sway": AT_SEA, "turn": MotionPlan("turn", turn_rate=0.01)}
     s = published(
@@ -294,6 +304,7 @@ def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, h
         step=4.0,
         motion=motion[kind],
         compensation=Compensation(("none",), misalignment="true", attitude="true"),
+        **changes,
     )
     ran = compare(s).models["none"]
     for channel in CHANNELS[:4]:
@@ -315,3 +326,5 @@ def test_a_moving_base_is_noted_where_no_theory_holds():
     assert not has_theory(reversing)
     assert theory_note(reversing).startswith("the cases reverse")
     assert theory_note(published()) == ""
+    assert "less than 4 h" in theory_note(published(duration=3600.0))
+    assert not has_theory(published(duration=3600.0))

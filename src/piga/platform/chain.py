@@ -99,7 +99,7 @@ def separable(rates: tuple[float, ...], stretch: float) -> bool:
         return True
     apart = abs(rates[1] - rates[0])
     beats = [apart * stretch] + (
-        [2.0 * abs(apart - earth.EARTH_RATE) * stretch] if stretch > _NEIGHBOURS else []
+        [2.0 * abs(apart - earth.EARTH_RATE) * stretch] if stretch >= _NEIGHBOURS else []
     )
     return min(beats) >= 2.0 * np.pi
 
@@ -115,16 +115,15 @@ def _line_design(
     t = (np.arange(n) - 0.5 * (n - 1)) * step
     x = t / max(t[-1], 1.0)
     foucault = earth.EARTH_RATE * np.sin(latitude)
-    others = [2.0 * rate for rate in rates] + [_SCHULER]
+    others, neighbours = [2.0 * rate for rate in rates] + [_SCHULER], []
+    if n * step >= _NEIGHBOURS:
+        neighbours = [polar - earth.EARTH_RATE, polar + earth.EARTH_RATE] if polar > 0.0 else []
+        others += [_SCHULER - foucault, _SCHULER + foucault]
     if len(rates) == 2:
         others += [rates[0] + rates[1], abs(rates[0] - rates[1])]
-    if n * step > _NEIGHBOURS:
-        others += [polar - earth.EARTH_RATE, polar + earth.EARTH_RATE] if polar > 0.0 else []
-        others += [_SCHULER - foucault, _SCHULER + foucault]
-    beat = 2.0 * np.pi / (n * step)
-    if len(rates) == 2:
+        beat = 2.0 * np.pi / (n * step)
         others = [w for w in others if min(abs(w - rate) for rate in rates) > 0.49 * beat]
-    waves = [f(w * t) for w in (*rates, *others) for f in (np.cos, np.sin)]
+    waves = [f(w * t) for w in (*rates, *neighbours, *others) for f in (np.cos, np.sin)]
     growth = [x * wave for wave in waves[: 2 * len(rates)]]
     design = np.stack([*waves, *growth, np.ones_like(x), x, x * x, x**3], axis=1)
     weights = np.sin(np.pi / n * (np.arange(n) + 0.5)) ** 2
@@ -156,10 +155,10 @@ class Lines(Result):
 
 
 def day_slices(times: Array) -> list[slice]:
-    """Rows of each day of the run (1-based days; the last may be shorter)."""
-    days = int(np.ceil((times[-1] - 1e-6) / DAY))
+    """Rows of each day of the run (1-based days). A rest of less than four hours belongs to the day before."""
+    days = max(1, int(np.ceil((times[-1] - _NEIGHBOURS) / DAY + 1e-9)))
     edges = np.searchsorted(times, np.arange(days + 1) * DAY + 1e-6)
-    edges[0] = 0
+    edges[0], edges[-1] = 0, len(times)
     return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 24]
 
 
@@ -175,9 +174,10 @@ def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
 
 
 def has_theory(scenario: PlatformScenario) -> bool:
-    """True if :func:`theory_lines` holds: the base stays at its place, and a case turns without reversals."""
+    """True if :func:`theory_lines` holds: four hours on a base that stays at its place; a case turns without reversals."""
     turning = max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate) > 0.0
-    return scenario.motion.kind != "track" and turning and scenario.polar_rotation.turns == 0
+    stays = scenario.motion.kind != "track" and scenario.duration >= _NEIGHBOURS
+    return stays and turning and scenario.polar_rotation.turns == 0
 
 
 def theory_note(scenario: PlatformScenario) -> str:
@@ -186,6 +186,8 @@ def theory_note(scenario: PlatformScenario) -> str:
         return "the cases reverse: the closed form of the lines does not hold, and no theory is shown"
     if scenario.motion.kind == "track":
         return "the base changes its place: the closed form of the lines does not hold, and no theory is shown"
+    if scenario.duration < _NEIGHBOURS:
+        return "in less than 4 h a line contains its neighbours at +- Earth rate: no theory is shown"
     turns = "the base turns: its roll and pitch have no line at the case rate, and no theory of them is shown"
     return turns if scenario.motion.kind == "turn" else ""
 
@@ -196,7 +198,7 @@ def lines_note(scenario: PlatformScenario) -> str:
     if separable(rates, stretch):
         return ""
     periods = " and ".join(f"{2.0 * np.pi / rate:.6g} s" for rate in rates)
-    apart = 2.0 * np.pi / stretch + (2.0 * earth.EARTH_RATE if stretch > _NEIGHBOURS else 0.0)
+    apart = 2.0 * np.pi / stretch + (2.0 * earth.EARTH_RATE if stretch >= _NEIGHBOURS else 0.0)
     wanted = 2.0 * np.pi / max(rates[0] - apart, 0.5 * rates[0])
     return (
         f"the lines of the two cases ({periods}) cannot be told apart within {stretch / 3600.0:g} h: no amplitudes; "
@@ -244,13 +246,13 @@ def _channels_of_turn(scenario: PlatformScenario, turn: Array, rate: float) -> d
     if rate == 0.0:
         return {name: np.full(len(turn), np.nan) for name in CHANNELS}
     latitude, heading = scenario.place.latitude, scenario.motion.heading
-    turn = turn * rate**2 / (rate**2 - _SCHULER**2)
+    turn, sine = turn * rate**2 / (rate**2 - _SCHULER**2), abs(np.sin(latitude))
     east = gravity(latitude, scenario.place.height) * turn * np.cos(latitude) / rate
     level = turn * np.cos(latitude) * (np.nan if scenario.motion.kind == "turn" else 1.0)
     return {
         "east_velocity": east,
-        "north_velocity": east * 2.0 * earth.EARTH_RATE * np.sin(latitude) * rate / (rate**2 - _SCHULER**2),
-        "heading": turn * np.sin(latitude),
+        "north_velocity": east * 2.0 * earth.EARTH_RATE * sine * rate / (rate**2 - _SCHULER**2),
+        "heading": turn * sine,
         "roll": level * abs(np.cos(heading)),
         "pitch": level * abs(np.sin(heading)),
     }
