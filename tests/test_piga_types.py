@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = ("README.md", "docs/reference/api.md")
 STRICTER = "disallow-any-generics, warn-return-any"
 """What ``--strict`` asks of a user's script, and not of piga."""
-WRONG = "run.segment(3)\ncal['k0'].si.nothing\npiga.calibrate(run, progres=None)\n"
+WRONG = "run.segment(3)\ncal['k0'].nothing\npiga.calibrate(run, progres=None)\n"
 """Mistakes of a user that the types must show."""
 
 

@@ -122,7 +122,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     It is a mapping of coefficients in their order: ``cal["tan_beta"].value``; per-segment phases are ``cal["phi[3]"]``.
     ``in``, iteration, ``len``, ``keys``, ``values`` and ``items`` work as those of a dict. Coefficients are in the units
-    of calibration.json; ``cal["k0"].si`` is SI, and so is everything else.
+    of calibration.json; ``cal["k0"].value_si`` is SI, and so is everything else.
     Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count.
     ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
@@ -235,9 +235,9 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
                 "run": c.run or "",
                 "unit": c.unit,
             }
-            | {"unit_si": c.si.unit, "value": c.value, "std": c.std, "expanded": c.expanded}
+            | {"unit_si": c.unit_si, "value": c.value, "std": c.std, "expanded": c.expanded}
             | {"low": c.limits[0], "high": c.limits[1], "degrees_of_freedom": c.degrees_of_freedom}
-            | {"value_si": c.value_si, "std_si": c.si.std}
+            | {"value_si": c.value_si, "std_si": c.std_si}
             for c in self.coefficients
         ]
         return columns_of(rows, units)

@@ -105,34 +105,12 @@ _LOOSE_PHASE = 0.5
 """A phase with a standard uncertainty [rad] above this counts as not determined."""
 
 
-class SIValue(float):
-    """A coefficient in SI: a plain number with its uncertainty, half-width and ends of the 95 % interval, and SI unit.
-
-    >>> bias = Coefficient("k0", 3e-4, 1e-6, "g").si
-    >>> f"{bias:.7f} {bias.unit}, u = {bias.std:.2g}"
-    '0.0029420 m/s^2, u = 9.8e-06'
-    """
-
-    std: float
-    expanded: float
-    limits: tuple[float, float]
-    unit: str
-
-    def __repr__(self) -> str:
-        return f"{float(self)!r} +- {self.std:.2g} {self.unit}"
-
-    @property
-    def value(self) -> float:
-        """The plain number."""
-        return float(self)
-
-
 @dataclass(frozen=True, eq=False)
 class Coefficient(ByValue, Shown):
-    """One coefficient: value and standard uncertainty in ``unit``, the unit of calibration.json. ``si`` gives it in SI.
+    """One coefficient: value and standard uncertainty in ``unit``, the unit of calibration.json.
 
     ``value``, ``std``, ``expanded`` and ``limits`` are in ``unit``. Everything else in piga is SI: arrays, ``Run``,
-    :class:`piga.Instrument`, and ``si``.
+    :class:`piga.Instrument`, and ``value_si``, ``std_si``.
 
     ``segment`` and ``run`` name the segment and the run it belongs to; None: it belongs to all of them.
     ``degrees_of_freedom`` are the effective degrees of freedom of the standard uncertainty (JCGM 100, G.4).
@@ -159,22 +137,19 @@ class Coefficient(ByValue, Shown):
         return self.name if self.owner is None else f"{self.name}[{self.owner}]"
 
     @property
-    def si(self) -> SIValue:
-        """The coefficient in SI: a number with ``std``, ``expanded``, ``limits`` and ``unit``.
-
-        ``cal["scale_factor"].si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)].
-        """
-        factor, (low, high) = si_factor(self.name), self.limits
-        number = SIValue(self.value_si)
-        number.std, number.expanded = self.std * factor, self.expanded * factor
-        number.limits = low * factor, high * factor
-        number.unit = si_unit_of(self.name, self.unit.removesuffix("/g"))
-        return number
+    def value_si(self) -> float:
+        """The value in SI: ``cal["scale_factor"].value_si`` compares with ``Run.scale_factor`` [(rad/s)/(m/s^2)]."""
+        return self.value * si_factor(self.name)
 
     @property
-    def value_si(self) -> float:
-        """The value of ``si`` as a plain number."""
-        return self.value * si_factor(self.name)
+    def std_si(self) -> float:
+        """The standard uncertainty in SI."""
+        return self.std * si_factor(self.name)
+
+    @property
+    def unit_si(self) -> str:
+        """Unit of ``value_si`` and ``std_si``."""
+        return si_unit_of(self.name, self.unit.removesuffix("/g"))
 
     @property
     def determined(self) -> bool:
@@ -215,7 +190,7 @@ class Coefficient(ByValue, Shown):
             ("value", f"{self.value:.9g} {self.unit}"),
             ("standard uncertainty", f"{self.std:.3g} {self.unit}"),
             ("95 % interval", f"{low:.9g} to {high:.9g} {self.unit}"),
-            ("in SI", repr(self.si)),
+            ("in SI", f"{self.value_si!r} +- {self.std_si:.2g} {self.unit_si}"),
         ]
 
 
