@@ -70,7 +70,7 @@ def calibrate(
     inputs = [path for run in runs for path in files_named_in(run)]
     default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
     directory = out or runs[0].parent / default
-    from piga.gravity_norm.set_file import is_set_file
+    from piga.gravity_norm.estimate import is_set_file
 
     if any(is_set_file(run) for run in runs):
         plain = not any((terms, method, phases, per_run, summary))

@@ -5,8 +5,16 @@
 'calibrate_set'
 """
 
-from piga.gravity_norm.estimate import SetCalibration, SetTerm, Spell, calibrate_set, static_spells
-from piga.gravity_norm.set_file import SetFile, calibrate_set_file, is_set_file
+from piga.gravity_norm.estimate import (
+    SetCalibration,
+    SetFile,
+    SetTerm,
+    Spell,
+    calibrate_set,
+    calibrate_set_file,
+    is_set_file,
+    static_spells,
+)
 
 __all__ = [
     "SetCalibration",
