@@ -124,6 +124,8 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
     assert any(f"shows {1e6 * y[14]:.1f} ug," in alarm for alarm in trend.alarms)
     assert trend.judged == 21
     assert not any("r13" in alarm for alarm in trend.alarms)
+    exact = find_trend(history(t[:6], [1.0, 1.0, 1.0, 1.0, 1.5, 1.0], 1e-9))
+    assert any("record r4 of" in alarm and "shows 1500000" in alarm for alarm in exact.alarms)
     t = np.arange(36) / 12.0
     shifted = 1.6e-3 + np.random.default_rng(3).normal(0, 1e-6, 36)
     shifted[26:] -= 4e-6

@@ -157,7 +157,7 @@ class CoefficientTrend(Result):
         for point, date in zip(self.points, dates, strict=True):
             if point.outside and point.forecast is not None:
                 side = "above" if point.score > 0.0 else "below"
-                value, expected, unit = self._in_unit(point.own, point.value, point.forecast.value)
+                value, expected, unit = self._in_unit(point.forecast.std, point.value, point.forecast.value)
                 yield (
                     f"{self.key}: record {point.record} of {date:%Y-%m-%d} shows {value}{unit}, {abs(point.score):.1f} "
                     f"standard deviations {side} the forecast from earlier records, {expected}{unit} (limit 3)."
