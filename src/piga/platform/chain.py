@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga import earth
+from piga.frames import rotation_vector_to_matrix
 from piga.platform.geometry import gravity, misalignment
 from piga.platform.identify import Alignment, Identification, align, identify
 from piga.platform.navigator import (
@@ -263,23 +264,24 @@ def _left_about_pole(
 ) -> list[float]:
     """Amplitudes [rad] at the case ``rates`` [rad/s] of the z angle that the model leaves at ``time``: order one of each case."""
     truth = true_knowledge(scenario)
-    eta = truth.eta0 + truth.eta_rate * time
-    left = _about_pole(truth.polar, truth.equatorial, eta)
+    eta, pole = truth.eta0 + truth.eta_rate * time, rotation_vector_to_matrix(np.array(scenario.triad))[2]
+    left = _about_pole(truth.polar, truth.equatorial, eta, pole)
     if model != "none":
         polar, equatorial = knowledge.polar, knowledge.equatorial
         if model != "C":
             polar, equatorial = (Gyro(g.misalignment, g.phase) for g in (polar, equatorial))
-        left = left - _about_pole(polar, equatorial, knowledge.eta0 if model == "A" else eta)
+        left = left - _about_pole(polar, equatorial, knowledge.eta0 if model == "A" else eta, pole)
     lines = np.fft.fft(left)[:, 1] / 128.0
     return np.abs(lines if len(rates) == 2 else [lines.sum()]).tolist()
 
 
-def _about_pole(polar: Gyro, equatorial: Gyro, eta: float) -> Array:
-    """What each gyro gives to the z angle [rad] over a turn of its case: (2, 256)."""
+def _about_pole(polar: Gyro, equatorial: Gyro, eta: float, pole: Array) -> Array:
+    """What each gyro gives to the angle [rad] about the Earth's axis, ``pole`` in triad axes, over a turn of its case: (2, 256)."""
     angle = (2.0 * np.pi / 256) * np.arange(256, dtype=np.float64)
     c1, c2 = angle + polar.phase, angle + equatorial.phase
-    first = -misalignment(polar, c1) * np.cos(c1) * np.tan(eta)
-    return np.stack([first, misalignment(equatorial, c2) * np.sin(c2) / np.cos(eta)])
+    first = (pole[0] - pole[2] * np.tan(eta)) * np.cos(c1) + pole[1] * np.sin(c1)
+    second = pole[2] * np.sin(c2) / np.cos(eta)
+    return np.stack([misalignment(polar, c1) * first, misalignment(equatorial, c2) * second])
 
 
 # -- the chain ----------------------------------------------------------------------------------------------
