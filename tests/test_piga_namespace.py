@@ -1,10 +1,12 @@
-"""The flat namespace: light to import, complete, and every public name of a room can be had."""
+"""The flat namespace: light to import, complete, and every public name of a room can be had; files are read from their text."""
 
 from __future__ import annotations
 
 import importlib
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -36,3 +38,19 @@ def test_every_public_name_of_a_room_is_there_and_says_what_it_is(room):
             assert value.__doc__, f"{room}.{name}"
     with pytest.raises(AttributeError, match="nothing"):
         _ = module.nothing
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def test_a_file_is_read_from_its_text():
+    for read, file in ((piga.read_plan, "plan-dividing-head.toml"), (piga.read_scenario, "twin.toml")):
+        path = EXAMPLES / file
+        assert read(file, content=path.read_text(encoding="utf-8")).table == read(path).table
+        with pytest.raises(piga.RunFileError, match=r"nothing\.toml: not valid TOML"):
+            read("nothing.toml", content="[")
+    path = EXAMPLES / "platform-piga.toml"
+    scenario = piga.platform.load_scenario("p.toml", content=path.read_text(encoding="utf-8"))
+    assert replace(scenario, source=None) == replace(piga.platform.load_scenario(path), source=None)
+    text = (EXAMPLES / "certificate.toml").read_text(encoding="utf-8")
+    assert piga.certificate.read_certificate_file("c.toml", content=text).item.description

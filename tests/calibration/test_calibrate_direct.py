@@ -91,37 +91,21 @@ def test_asymmetry_of_the_scale_factor_is_found_and_taken_out(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (
-            'serial = "QA-1"',
-            'serial = "QA-1"\ncounts_per_revolution = 3600',
-            "counts_per_revolution belongs to a gyro",
-        ),
-        (
-            'serial = "QA-1"',
-            'serial = "QA-1"\nservo = { integral_gain = "1 N m/(rad s)" }',
-            "servo belongs to a gyro",
-        ),
+        ('serial = "QA-1"', 'serial = "QA-1"\ncounts_per_revolution = 3600', "counts_per_revolution belongs to a gyro"),
+        ('serial = "QA-1"', 'serial = "QA-1"\nservo = { integral_gain = "1 N m/(rad s)" }', "servo belongs to a gyro"),
         ('kind = "rate"', 'kind = "angle"', "kind 'angle' belongs to a gyro"),
         ('"rate", unit = "mA"', '"rate", unit = "deg/s"', "'deg/s' is that of an angle"),
         ('"rate", unit = "mA"', '"rate", unit = "V"', "'0.6 mA/g' is given in"),
         ('"rate", unit = "mA"', '"rate"', "needs a unit"),
-        (
-            'segment = "p"',
-            'segment = "p"\nbase_rate = { columns = ["fx", "fy", "fz"], unit = "rad/s" }',
-            "base_rate",
-        ),
+        ('segment = "p"', 'segment = "p"\nbase_rate = { columns = ["fx", "fy", "fz"], unit = "rad/s" }', "base_rate"),
         ("'m_Y'", "'tan_beta'", "'tan_beta' turns with the gimbal"),
         ("'m_Y'", "'servo'", "'servo' turns with the gimbal"),
         ("'m_Y'", "'s1', 'c1'", "'s1' turns with the gimbal"),
         ("[model]", '[model]\nphases = "per-segment"', "phases 'per-segment' belongs to the gimbal"),
         ("[model]", '[model]\nphase_source = "input"', "phase_source 'input' belongs to the gimbal"),
-        (
-            "[model]",
-            '[estimation]\nmethod = "revolutions"\n[model]',
-            "method 'revolutions' belongs to the gimbal",
-        ),
+        ("[model]", '[estimation]\nmethod = "revolutions"\n[model]', "method 'revolutions' belongs to the gimbal"),
     ],
-)
+)  # fmt: skip
 def test_what_belongs_to_a_gimbal_is_refused_by_name(tmp_path: Path, old: str, new: str, words: str) -> None:
     path = MA.write(tmp_path, "rate", "mA", "0.6 mA/g")
     text = path.read_text()
@@ -185,8 +169,9 @@ def test_six_positions_give_what_their_differences_give() -> None:
 
 
 def test_a_term_that_one_of_six_positions_decides_is_refused() -> None:
-    with pytest.raises(piga.PigaError, match=r"alone determines .*k_ZZ"):
+    with pytest.raises(piga.PigaError, match=r"alone determines .*k_ZZ") as refused:
         piga.calibrate(six_positions(["scale_factor", "k0", "m_Y", "m_Z", "k_ZZ"]))
+    assert "visit this position again" in refused.value.remedy
 
 
 def test_runs_are_joined_if_their_units_agree(tmp_path: Path) -> None:

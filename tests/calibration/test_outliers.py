@@ -11,6 +11,7 @@ import piga
 from piga.calibration.outliers import limit
 from piga.units import G0
 from tests.calibration.made.independent import Bench
+from tests.calibration.made.scenarios import COUPLED
 from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
 
 pytestmark = pytest.mark.long
@@ -39,16 +40,6 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
     for name in TERMS:
         assert calibration[name].std == pytest.approx(clean[name].std, rel=0.3)
         assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
-
-
-def test_intervals_hold_under_contamination() -> None:
-    """20 records with 20 % bad samples: mean square of error over uncertainty that of Student's t with few degrees of freedom."""
-    squares = []
-    for seed in range(20):
-        run = record(np.random.default_rng([seed, 33]), **{**NOISE, "seconds": 10.0}, count=8)
-        calibration = piga.calibrate(spiked(run, seed, 0.2, 0.05)[0], TERMS)
-        squares += [z**2 for z in errors(calibration).values()]
-    assert 0.8 < np.mean(squares) < 1.9
 
 
 def test_jumps_and_stuck_readings_have_their_times() -> None:
@@ -185,7 +176,6 @@ def test_one_wrong_reading_of_thirty_two() -> None:
 # --- wrong readings at the ends of a segment, and slips of the counter; limits are those of use
 
 
-COUPLED = ("scale_factor", "tan_beta", "k0")
 BENCH = Bench()
 ENDS = {"start": (True, False), "end": (False, True), "both": (True, True)}
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.constant_force import tumble
 
 import piga
 from piga.records.calibration.verdict import COUNTED
 from piga.units import G0
-from tests.calibration.made.scenarios import SCENARIOS, tumble
+from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.synthetic import TERMS, record
 
 COUNT = 2.0 * np.pi / 72000
@@ -50,7 +51,8 @@ def test_noise_that_is_larger_than_a_count_is_no_excuse(options: dict[str, float
 
 @compiled
 def test_several_runs() -> None:
-    runs = [counted(seed) for seed in (33, 34)]
+    """One count is stated, one is seen in the angles."""
+    runs = [counted(33), replace(counted(34), resolution=0.0)]
     assert piga.calibrate(runs, TERMS).diagnostics.verdict == COUNTED
     both = [runs[0], record(np.random.default_rng(34), white=2.5e-5)]
     assert piga.calibrate(both, TERMS).diagnostics.verdict != COUNTED

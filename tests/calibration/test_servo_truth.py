@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from tests.calibration.made import servo_campaign as campaign
-from tests.instrument.servo_truth import Design, G, centrifuge_record, head_record, motion
+from tests.instrument.servo_truth import Design, G, centrifuge_record, head_record
 
 pytestmark = pytest.mark.long
 
@@ -72,29 +72,6 @@ def test_head_and_centrifuge_of_the_rigid_body(levels, coupling):
     assert abs(errors["tan_beta"]) < coupling
     assert abs(errors["servo"]) < 0.02
     assert abs(errors["servo_damping"]) < 0.02
-
-
-@pytest.mark.slow
-def test_twin_of_the_campaign_is_the_rigid_body():
-    """Positions of 20 s from the same angle: the paths differ by less than 1e-8 rad once both have settled."""
-    path = campaign.motion(1, positions=3, seconds=20.0)
-    p = path.twin
-    body = Design(
-        K=p.K,
-        H=p.angular_momentum,
-        J_x=p.J_x,
-        J_y=p.float_inertia_y,
-        c=p.damping,
-        k_p=p.proportional_gain,
-        k_i=p.integral_gain,
-        beta=p.pick_off_null,
-        errors={"k0": path.k0},
-    )
-    for segment in range(3):
-        rows = path.segment == segment
-        t, alpha = path.t[rows] - path.t[rows][0], path.alpha[rows]
-        own = motion(body, path.force[rows][0], path.base_rate[rows][0], alpha[0], t)[:, 0]
-        assert np.ptp((alpha - own)[2:]) < 1e-8
 
 
 TWIN_RECORDS = 1000

@@ -86,8 +86,7 @@ def test_one_pass_contains_the_servo_and_the_scatter_of_the_positions() -> None:
 
 
 @pytest.mark.parametrize("own", ["scale_factor, k0", "scale_factor, tan_beta, k0, servo, servo_damping"])
-@pytest.mark.parametrize("more", ["", ", servo, servo_damping"])
-def test_a_given_servo_moves_stored_summaries_as_the_runs(own: str, more: str) -> None:
+def test_a_given_servo_moves_stored_summaries_as_the_runs(own: str) -> None:
     """The fit of a summary may lack the phase, or estimate the servo: its sources act as in the joint fit all the same."""
     given = (
         GivenParameter("integral_gain", 3000.0, 60.0, "N m/(rad s)"),
@@ -99,14 +98,14 @@ def test_a_given_servo_moves_stored_summaries_as_the_runs(own: str, more: str) -
         replace(recorded(forces, noise=1e-5, s=true["servo"], d=true["servo_damping"]), servo=given)
         for forces in (head(), levels((-8, -4, 4, 8)))
     ]
-    terms = f"scale_factor, tan_beta, k0{more}"
+    terms = "scale_factor, tan_beta, k0"
     stored = [RunSummary.of(run, own, name=f"run {k}") for k, run in enumerate(runs, start=1)]
     result = piga.calibrate(stored, terms)
-    rows = {e.source: e for e in result.budget if e.source.startswith("servo ") and "integral" in e.source}
-    assert bool(rows) != bool(more)
+    rows = [row for row in result.budget if row.source.startswith("servo integral")]
+    assert rows
     number = [source.name for source in stored[0].sources].index("servo integral gain")
     moved = piga.calibrate([replace(s, known_servo=s.sources[number].known_servo) for s in stored], terms)
-    for row in rows.values():
+    for row in rows:
         for c, other in zip(result.coefficients, moved.coefficients, strict=True):
             expected = other.value - c.value
             difference = row.contributions[c.key] - expected

@@ -10,13 +10,11 @@ import pytest
 
 import piga
 from piga.calibration import uncertainty
-from piga.calibration.residuals import count_of
 from piga.calibration.uncertainty import propagate_distributions, size_limits, source_draws
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
-from piga.records.run_file import Spread, UncertaintyTable, shape_of, standard_uncertainty
+from piga.records.run_file import Spread, shape_of, standard_uncertainty
 from tests.calibration.made.independent import Bench
-from tests.calibration.made.scenarios import SCENARIOS
-from tests.calibration.made.synthetic import at_rest, record
+from tests.calibration.made.scenarios import COUPLED, SCENARIOS
 
 
 def test_gum_annex_h1_end_gauge() -> None:
@@ -78,18 +76,6 @@ def test_distributions_of_type_b() -> None:
     )
 
 
-def test_counts_are_seen_in_a_log_of_angles() -> None:
-    """An angle rounded to counts is found out; a continuous one is not."""
-    scenario = SCENARIOS["coarse"]
-    run = scenario.record(np.random.default_rng(1))
-    unknown = piga.Run.from_arrays(
-        run.t, run.output, run.f, scale_factor=run.scale_factor, segment=run.segment_index, units="SI"
-    )
-    assert count_of(unknown) == pytest.approx(scenario.count, rel=1e-9)
-    free = SCENARIOS["static"].record(np.random.default_rng(1))
-    assert count_of(free) == 0.0
-
-
 def test_monte_carlo_of_a_linear_model_agrees_with_the_first_order() -> None:
     """JCGM 101, 9.2: four normal or rectangular inputs summed; published intervals +-3.92 and +-3.88."""
 
@@ -133,7 +119,6 @@ def test_draws_of_a_t_distribution_share_their_scale() -> None:
     assert np.corrcoef(drawn.T**2)[0, 1] > 0.1
 
 
-COUPLED = ("scale_factor", "tan_beta", "k0")
 U = 4.9e-7
 """Standard uncertainty of tan_beta in the records below."""
 
@@ -203,38 +188,3 @@ def test_weak_coupling_gets_a_monte_carlo_interval() -> None:
     assert coupling.interval[0] >= 0.0
     low, high = table["scale_factor"].symmetric
     assert high - low == pytest.approx(2.0 * calibration["scale_factor"].expanded, rel=0.05)
-
-
-def contributions(table: UncertaintyTable) -> tuple[dict[str, dict[str, float]], piga.Calibration]:
-    """Contributions [file units] by source, and the calibration; a tumble at 1 g with a temperature of each position."""
-    run = record(np.random.default_rng(21), seconds=6.0, rate=3.0, count=8, levels=(1.0,))
-    run = replace(
-        run,
-        uncertainty=table,
-        temperature=293.15 + np.array([0.0, 3.0, 1.0, 4.0, 1.0, 5.0, 2.0, 6.0])[run.segment_index],
-    )
-    calibration = piga.calibrate(run, ["scale_factor", "k0", "m_Y", "k0_T"])
-    return {row.source: row.contributions for row in calibration.budget if row.type == "B"}, calibration
-
-
-@pytest.mark.interpreted
-@pytest.mark.long
-def test_a_bias_along_the_axis_goes_into_k0_one_across_by_the_misalignment() -> None:
-    outcome, result = contributions(at_rest(reference_bias="5 ug"))
-    assert abs(outcome["reference_bias X0"]["k0"]) == pytest.approx(5e-6, rel=1e-2)
-    assert abs(outcome["reference_bias Y0"]["k0"]) == pytest.approx(5e-6 * result["m_Y"].value, rel=1e-3)
-    assert set(outcome) == {f"reference_bias {axis}" for axis in ("X0", "Y0", "Z0")}
-
-
-@pytest.mark.interpreted
-@pytest.mark.long
-def test_a_thermometer_goes_into_the_bias_by_its_slope() -> None:
-    outcome, result = contributions(at_rest(temperature="0.5 K"))
-    assert abs(outcome["temperature"]["k0"]) == pytest.approx(0.5 * abs(result["k0_T"].value), rel=1e-6)
-    assert abs(outcome["temperature"]["scale_factor"]) < 1e-12
-    cold = record(np.random.default_rng(22), seconds=6.0, rate=3.0, count=4, levels=(1.0,))
-    cold = replace(
-        cold,
-        uncertainty=at_rest(temperature="0.5 K"),
-    )
-    assert [row.type for row in piga.calibrate(cold, ["scale_factor", "k0"]).budget] == ["A"]

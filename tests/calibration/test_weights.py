@@ -12,7 +12,6 @@ from piga.calibration.weights import (
     Noise,
     counted_rates,
     find_scatter,
-    joined,
     likeliest_levels,
     with_scatter,
 )
@@ -42,17 +41,6 @@ def test_levels_come_back_whatever_the_rates(white: float, walk: float) -> None:
     noise = likeliest_levels(d, h, edges, H, 2, 0.0)
     assert noise.angle_rms == pytest.approx(white, rel=0.06 if walk <= white else 1.0)
     assert noise.angle_random_walk == pytest.approx(walk, rel=0.1, abs=2e-6)
-
-
-def test_joined_increments_have_the_same_sum_and_begin_where_stretches_do() -> None:
-    h, edges = stretches(3, 100)
-    d = increments(np.random.default_rng(3), 3, 100, 1.0, 1.0)
-    few, longer, at = joined(d, h, edges, 7)
-    assert few.size < d.size / 5
-    assert few.sum() == pytest.approx(d.sum())
-    assert longer.sum() == pytest.approx(h.sum())
-    assert (longer == 0.0).sum() == 3
-    assert (longer[at[:-1]] == 0.0).all()
 
 
 def rounding_errors(rng: np.random.Generator, turned: np.ndarray, rows: int, walk: float = 0.0) -> np.ndarray:

@@ -1,14 +1,21 @@
-"""Every file, module, command, test, picture and page that a page names is there."""
+"""What a page names is there: files, modules, commands, tests, pictures, messages, and the figures of ``docs/measured``."""
 
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
+import sys
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
+from benchmarks import measured
 from builders import pictures
+
+import piga
 
 from .pages import DOCS, ROOT, commands, name_of, pages
 
@@ -112,3 +119,119 @@ def test_the_files_that_ci_names_are_there() -> None:
 
 def test_the_shipped_picture_of_the_report_is_the_one_whose_numbers_stand_beside_it() -> None:
     assert set(pictures.kept()) == {"verdict", "tiles", "coefficients"}
+
+
+def test_every_command_has_its_python_beside_it() -> None:
+    """A section of its own, or that of its group; but for commands that have no meaning in Python."""
+    text = (DOCS / "reference" / "examples" / "commands.md").read_text(encoding="utf-8")
+    sections = {line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")}
+    names = [name for name, is_group in commands().items() if not is_group]
+    missing = {name for name in names if not {name, name.rpartition(" ")[0]} & sections}
+    assert missing == {"piga ui", "piga examples"}
+    assert sections <= {*names, *(name.rpartition(" ")[0] for name in names)}
+
+
+# --- messages
+
+
+_ROW = re.compile(r"^\| `([^`]+)` \| [^|]+ \| [^|]+ \|$", re.MULTILINE)
+
+
+def messages() -> list[str]:
+    return _ROW.findall((DOCS / "reference" / "messages.md").read_text(encoding="utf-8"))
+
+
+def words(node: ast.expr) -> str:
+    """Text of an expression; ``\\0`` stands for what is computed."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(words(part) for part in node.values)
+    if isinstance(node, ast.BinOp):
+        return words(node.left) + words(node.right)
+    return "\0"
+
+
+@cache
+def texts() -> tuple[str, ...]:
+    """Every text in the package; text that is put together counts as one."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "src").rglob("*.py")]
+    kinds = (ast.Constant, ast.JoinedStr, ast.BinOp)
+    return tuple(words(node) for tree in trees for node in ast.walk(tree) if isinstance(node, kinds))
+
+
+def held(message: str, text: str) -> bool:
+    """True if a text holds the message; ``...`` is what differs."""
+    pattern = ".*".join(map(re.escape, message.split("...")))
+    return re.search(pattern, text, re.DOTALL | re.IGNORECASE) is not None
+
+
+@pytest.mark.parametrize("message", messages())
+def test_a_message_is_one_of_the_program(message: str) -> None:
+    assert any(held(message, text) for text in texts())
+
+
+def test_the_refusals_that_users_meet_are_explained() -> None:
+    run = piga.example_run()
+    with pytest.raises(piga.PigaError) as confounded:
+        piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "k2", "k_YY"])
+    calibration = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
+    with pytest.raises(piga.PigaError) as phaseless:
+        piga.compensate(replace(run, labels=tuple(f"part {label}" for label in run.labels)), calibration)
+    for refusal in (confounded, phaseless):
+        assert any(held(message, str(refusal.value)) for message in messages()), str(refusal.value)
+
+
+# --- figures: the tables are those of docs/measured, and every figure says how it was measured
+
+
+@pytest.mark.parametrize("page", measured.pages(), ids=name_of)
+def test_tables_are_those_of_the_figures(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert measured.filled(text) == text, "run: python benchmarks/measured.py"
+
+
+def test_every_table_is_shown_once() -> None:
+    shown = [name for page in measured.pages() for name in measured.shown(page.read_text(encoding="utf-8"))]
+    assert sorted(shown) == measured.names()
+    marks = [page.read_text(encoding="utf-8").count("<!-- measured:") for page in measured.pages()]
+    assert sum(marks) == len(shown), "a mark without its end"
+
+
+@pytest.mark.parametrize("name", measured.names())
+def test_every_figure_says_how_it_was_measured(name: str) -> None:
+    table, figures = measured.load(name)
+    assert len({figure["name"] for figure in figures}) == len(figures), "one name, two figures"
+    for figure in figures:
+        missing = [key for key in measured.NEEDED if figure.get(key) in (None, "")]
+        assert not missing, f"{figure['name']}: {missing}"
+        values = figure["value"] if isinstance(figure["value"], list) else [figure["value"]]
+        assert all(isinstance(value, int | float) for value in values), figure["name"]
+        assert values == sorted(values), f"{figure['name']}: lowest value first"
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", figure["date"])
+        assert re.fullmatch(r"\d+\.\d+\.\d+(\.dev\d+)?", figure["version"])
+        assert figure.get("column", "") in table.get("columns", [""])
+
+
+@pytest.mark.parametrize("name", measured.names())
+def test_commands_name_what_is_there(name: str) -> None:
+    for figure in measured.load(name)[1]:
+        words = figure["command"].split()
+        paths = [word for word in words if "/" in word]
+        paths += [word.replace(".", "/") + ".py" for word in words if word.startswith("tests.")]
+        assert all((ROOT / path).exists() for path in paths), figure["command"]
+
+
+def test_shipped_comparisons_hold_and_stand_on_the_page() -> None:
+    """Validation on data of others has the numbers of today, as far as the data are here."""
+    spec = importlib.util.spec_from_file_location("validate", ROOT / "validation" / "validate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    validate = importlib.util.module_from_spec(spec)
+    sys.modules["validate"] = validate
+    spec.loader.exec_module(validate)
+    results = [*validate.xsens(), *validate.imucal(), *validate.nist_suite()]
+    assert all(one.holds for one in results)
+    page = (ROOT / "docs" / "validation-data.md").read_text(encoding="utf-8")
+    for row in validate.page(results).splitlines():
+        assert row in page

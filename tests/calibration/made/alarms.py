@@ -19,10 +19,9 @@ import numpy as np
 
 import piga
 from piga.errors import PigaError
-from tests.calibration.made.scenarios import SCENARIOS, Scenario
-from tests.calibration.made.synthetic_terms import TERMS, around, with_term
+from tests.calibration.made.scenarios import EVERYWHERE, SCENARIOS, with_term
 
-SHOWN = SCENARIOS | {"everywhere": Scenario("everywhere", around(), white=2.5e-5, walk=2e-5, terms=TERMS)}
+SHOWN = SCENARIOS | {"everywhere": EVERYWHERE}
 SOUND = ("static", "centrifuge", "everywhere")
 ADDED = {
     "k2": 1e-4, "k3": 1e-4, "k2o": 1e-4, "m_Y": 1e-4, "m_Z": 1e-4, "k_XY": 1e-4, "k_XZ": 1e-4, "k_YY": 1e-4,
@@ -37,25 +36,24 @@ OMITTED = {
 """Terms of a scenario's truth that are left out of its model in turn."""
 
 
-def _columns(order: list[int], signs: tuple[int, int, int], run: piga.Run) -> piga.Run:
-    return replace(run, f=np.ascontiguousarray(run.f[:, order] * np.array(signs, dtype=float)))
+def _columns(order: list[int], run: piga.Run) -> piga.Run:
+    return replace(run, f=np.ascontiguousarray(run.f[:, order]))
+
+
+def _reference(factor: float | tuple[int, int, int], run: piga.Run) -> piga.Run:
+    return replace(run, f=run.f * np.array(factor, dtype=float))
 
 
 def _output(factor: float, run: piga.Run) -> piga.Run:
     return replace(run, output=run.output * factor)
 
 
-def _reference(factor: float, run: piga.Run) -> piga.Run:
-    return replace(run, f=run.f * factor)
-
-
-_SAME = (1, 1, 1)
 FAULTS: dict[str, tuple[Callable[[piga.Run], piga.Run], str]] = {
-    "X0 and Y0 swapped": (partial(_columns, [1, 0, 2], _SAME), "X0 and Y0 swapped"),
-    "X0 and Z0 swapped": (partial(_columns, [2, 1, 0], _SAME), "X0 and Z0 swapped"),
-    "Y0 and Z0 swapped": (partial(_columns, [0, 2, 1], _SAME), "Y0 and Z0 swapped"),
-    "X0 negative": (partial(_columns, [0, 1, 2], (-1, 1, 1)), "X0 of the reference"),
-    "Y0 negative": (partial(_columns, [0, 1, 2], (1, -1, 1)), "Y0 negative"),
+    "X0 and Y0 swapped": (partial(_columns, [1, 0, 2]), "X0 and Y0 swapped"),
+    "X0 and Z0 swapped": (partial(_columns, [2, 1, 0]), "X0 and Z0 swapped"),
+    "Y0 and Z0 swapped": (partial(_columns, [0, 2, 1]), "Y0 and Z0 swapped"),
+    "X0 negative": (partial(_reference, (-1, 1, 1)), "X0 of the reference"),
+    "Y0 negative": (partial(_reference, (1, -1, 1)), "Y0 negative"),
     "output negative": (partial(_output, -1.0), "the output"),
     "g said to be m/s²": (partial(_reference, 1 / 9.80665), "f (wanted in m/s^2) multiplied by 9.80665"),
     "mg said to be g": (partial(_reference, 1e3), "f (wanted in m/s^2) divided by 1000"),
@@ -65,46 +63,41 @@ FAULTS: dict[str, tuple[Callable[[piga.Run], piga.Run], str]] = {
 """What is done to a record, and words that name it."""
 
 
-def remarks(run: piga.Run, terms: tuple[str, ...]) -> tuple[str, str, list[str]]:
-    """Kind of the first remark ("advice", "term", "segment" or "none"), its words, terms suggested."""
+def outcome(run: piga.Run, terms: tuple[str, ...], words: str = "", term: str = "") -> str:
+    """ "named" if the remarks hold the words or suggest the term; else the kind of the first remark."""
     try:
         calibration = piga.calibrate(run, terms)
     except PigaError as error:
         text = str(error)
-        return ("advice" if "not applied" in text else "none"), text, []
-    advice = calibration.diagnostics.advice
-    missing = calibration.diagnostics.missing_terms
-    suggested = [name for entry in missing[:1] for name in (*entry.terms, *", ".join(entry.alike).split(", "))]
-    if advice:
-        return "advice", " | ".join(advice), suggested
+        return "named" if words and words in text else "advice" if "not applied" in text else "none"
+    advice, missing = calibration.diagnostics.advice, calibration.diagnostics.missing_terms
     moved = [note for note in calibration.notes if "without segment" in note]
-    return ("term" if missing else "segment" if moved else "none"), " | ".join(moved), suggested
+    suggested = [name for entry in missing[:1] for name in (*entry.terms, *", ".join(entry.alike).split(", "))]
+    if (words and words in " | ".join(advice or moved)) or (term and term in suggested):
+        return "named"
+    return "advice" if advice else "term" if missing else "segment" if moved else "none"
 
 
 def sound(name: str, seed: int) -> str:
     """Kind of remark on a sound record."""
     scenario = SHOWN[name]
-    return remarks(scenario.record(np.random.default_rng([seed, 11])), scenario.terms)[0]
+    return outcome(scenario.record(np.random.default_rng([seed, 11])), scenario.terms)
 
 
 def omitted(name: str, term: str, seed: int) -> str:
-    """ "named", or the kind of remark, when a term of the truth is not in the model."""
+    """Of a record whose truth has a term that is not in the model."""
     scenario = SHOWN[name]
     run = scenario.record(np.random.default_rng([seed, 12]))
     if name == "everywhere" and term in ADDED:
-        run, terms = with_term(run, term, ADDED[term]), scenario.terms
-    else:
-        terms = tuple(t for t in scenario.terms if t != term)
-    kind, _, suggested = remarks(run, terms)
-    return "named" if term in suggested else kind
+        return outcome(with_term(run, term, ADDED[term]), scenario.terms, term=term)
+    return outcome(run, tuple(t for t in scenario.terms if t != term), term=term)
 
 
 def faulty(name: str, fault: str, seed: int) -> str:
-    """ "named", or the kind of remark, when the data are read wrongly."""
+    """Of a record whose data are read wrongly."""
     scenario = SHOWN[name]
     change, words = FAULTS[fault]
-    kind, text, _ = remarks(change(scenario.record(np.random.default_rng([seed, 13]))), scenario.terms)
-    return "named" if words in text else kind
+    return outcome(change(scenario.record(np.random.default_rng([seed, 13]))), scenario.terms, words)
 
 
 def count_all(
@@ -119,15 +112,11 @@ def count_all(
         ]
 
 
-def omitted_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:
-    """All omitted terms."""
-    pairs = [(name, term) for name, terms in OMITTED.items() for term in terms]
-    return [(omitted, pair) for pair in (*pairs, *(("everywhere", term) for term in ADDED))]
-
-
-def faulty_jobs() -> list[tuple[Callable[..., str], tuple[str, ...]]]:
-    """All faults of the data in all scenarios."""
-    return [(faulty, (name, fault)) for name in SOUND for fault in FAULTS]
+OMISSIONS = [
+    *((name, term) for name, terms in OMITTED.items() for term in terms),
+    *(("everywhere", term) for term in ADDED),
+]
+"""Scenarios, and the terms that are left out of their models."""
 
 
 def main() -> None:
@@ -141,8 +130,8 @@ def main() -> None:
     kinds = ("named", "advice", "term", "segment", "none")
     for jobs, tests in (
         ([(sound, (name,)) for name in SOUND], chosen.sound),
-        (omitted_jobs(), chosen.faulty),
-        (faulty_jobs(), chosen.faulty),
+        ([(omitted, pair) for pair in OMISSIONS], chosen.faulty),
+        ([(faulty, (name, fault)) for name in SOUND for fault in FAULTS], chosen.faulty),
     ):
         sys.stdout.write(f"| record | tests | {' | '.join(kinds)} |\n|---|---|---|---|---|---|---|\n")
         for (_, arguments), counted in zip(jobs, count_all(jobs, tests, chosen.processes), strict=True):

@@ -1,21 +1,18 @@
 """Do the intervals of K hold where the servo is not stiff? Many twin records of a dividing head.
 
-Run as ``python -m tests.calibration.made.servo_campaign --tests 1000 --out FILE [--record]``: a row of Markdown for
-the model with the servo's terms and one for the model without. Every record has a servo, a coupling, a bias and starting
-angles of its own; the motion of ``DESIGNS`` records is integrated by the twin (equal to SciPy's rigid body:
-``test_servo_truth.py``) and used again with new noise. The noise is that of the shipped record: 5.2 arcsec white (a count
-of 18 arcsec), walk of 1 arcsec/sqrt(s).
+Run as ``python -m tests.calibration.made.servo_campaign --tests 1000 [--record]``: figures of the model with the servo's
+terms and of the model without. Every record has a servo, a coupling, a bias and starting angles of its own; the motion of
+``DESIGNS`` records is integrated by the twin (equal to SciPy's rigid body: ``test_servo_truth.py``) and used again with new
+noise. The noise is that of the shipped record: 5.2 arcsec white (a count of 18 arcsec), walk of 1 arcsec/sqrt(s).
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from benchmarks import measured
@@ -114,70 +111,50 @@ def one_test(seed: int, terms: tuple[str, ...], **options: float) -> dict[str, t
 
 
 def figures(results: list[dict[str, tuple[float, float, float]]]) -> dict[str, dict[str, float]]:
-    """Per coefficient: coverage, mean error, rms error, mean standard uncertainty."""
+    """Per coefficient: coverage, rms error, mean standard uncertainty."""
     table = {}
     for name in results[0]:
         error, std, half = np.array([row[name] for row in results]).T
         table[name] = {
             "coverage": float(np.mean(np.abs(error) <= half)),
-            "mean_error": float(error.mean()),
             "rms_error": float(np.sqrt(np.mean(error**2))),
             "mean_u": float(std.mean()),
-            "mean_half_width": float(half.mean()),
         }
     return table
 
 
-def put_down(tables: dict[str, dict[str, dict[str, float]]], tests: int) -> None:
-    """Put coverage, and the errors of K, into the table of the documentation."""
-    own = {
-        "scale_factor": "K",
-        "tan_beta": "tan_beta",
-        "phi": "phi",
-        "servo": "servo terms",
-        "servo_damping": "servo terms",
-    }
-    rows = {"with": "with `servo`, `servo_damping`", "without": "with neither"}
-    for name, table in tables.items():
-        k = table["scale_factor"]
-        held: dict[str, list[float]] = {}
-        for coefficient, one in table.items():
-            held.setdefault(own.get(coefficient, "others"), []).append(round(100.0 * one["coverage"], 1))
-        ppm = 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
-        values: dict[str, measured.Value] = {
-            "records": tests,
-            "coverage of K": held.pop("K")[0],
-            "rms error of K": float(f"{ppm * k['rms_error']:.2g}"),
-            "mean u of K": float(f"{ppm * k['mean_u']:.2g}"),
-        }
-        values |= {kind: (min(shares), max(shares)) for kind, shares in held.items()}
-        known = {figure["name"] for figure in measured.load("servo-intervals")[1]}
-        kept = {f"{rows[name]}: {column}": value for column, value in values.items()}
-        measured.record("servo-intervals", {figure: value for figure, value in kept.items() if figure in known})
+MODELS = {"with `servo`, `servo_damping`": WITH, "with neither": WITHOUT}
+GROUPS = {"tan_beta": "tan_beta", "phi": "phi", "servo": "servo terms", "servo_damping": "servo terms"}
+
+
+def values(table: dict[str, dict[str, float]], tests: int) -> dict[str, measured.Value]:
+    """Coverage, and the errors of K, by the columns of the table in the documentation."""
+    held: dict[str, list[float]] = {}
+    for coefficient, one in table.items():
+        if coefficient != "scale_factor":
+            held.setdefault(GROUPS.get(coefficient, "others"), []).append(round(100.0 * one["coverage"], 1))
+    k, ppm = table["scale_factor"], 1e6 / 0.85  # K was drawn from 0.8 to 0.9 rad/s/g
+    return {
+        "records": tests,
+        "coverage of K": round(100.0 * k["coverage"], 1),
+        "rms error of K": float(f"{ppm * k['rms_error']:.2g}"),
+        "mean u of K": float(f"{ppm * k['mean_u']:.2g}"),
+    } | {kind: (min(shares), max(shares)) for kind, shares in held.items()}
 
 
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tests", type=int, default=1000)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--terms", choices=("with", "without", "both"), default="both")
     parser.add_argument("--record", action="store_true", help="put the figures into docs/measured")
     chosen = parser.parse_args()
-    models = {"with": WITH, "without": WITHOUT}
-    kept = models if chosen.terms == "both" else {chosen.terms: models[chosen.terms]}
-    rows: dict[str, list[dict[str, tuple[float, float, float]]]] = {name: [] for name in kept}
-    for seed in range(chosen.tests):
-        for name, terms in kept.items():
-            rows[name].append(one_test(seed, terms))
-        if seed % 25 == 24 or seed == chosen.tests - 1:
-            done = {name: {"tests": seed + 1} | figures(one) for name, one in rows.items()}
-            chosen.out.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
-            said = ", ".join(f"{name}: {100 * f['scale_factor']['coverage']:.1f} %" for name, f in done.items())
-            sys.stdout.write(f"{seed + 1}  coverage of K {said}\n")
-            sys.stdout.flush()
-    if chosen.record:
-        put_down({name: figures(one) for name, one in rows.items()}, chosen.tests)
+    known = {figure["name"] for figure in measured.load("servo-intervals")[1]}
+    for model, terms in MODELS.items():
+        table = figures([one_test(seed, terms) for seed in range(chosen.tests)])
+        kept = {f"{model}: {name}": value for name, value in values(table, chosen.tests).items()}
+        sys.stdout.write("".join(f"{name}: {value}\n" for name, value in kept.items()))
+        if chosen.record:
+            measured.record("servo-intervals", {name: value for name, value in kept.items() if name in known})
 
 
 if __name__ == "__main__":

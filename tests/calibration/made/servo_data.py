@@ -1,9 +1,12 @@
 """Records of an instrument with a finite servo, from SciPy on the quasi-steady equation with its servo terms."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from piga.records.run import Run
+from piga.records.run_file import EstimationTable
 from piga.units import G0
 
 K = 0.8885 / G0
@@ -27,16 +30,7 @@ def rate(alpha, f, base, s=STIFFNESS, d=DAMPING):
 
 
 def recorded(
-    forces,
-    seconds=12.0,
-    step=0.25,
-    base=None,
-    phases=None,
-    noise=0.0,
-    seed=1,
-    s=STIFFNESS,
-    d=DAMPING,
-    count=0.0,
+    forces, seconds=12.0, step=0.25, base=None, phases=None, noise=0.0, seed=1, s=STIFFNESS, d=DAMPING
 ):
     """A run: constant forces (segments, 3) [m/s^2], the gimbal going on through them; base rates (segments, 3) [rad/s].
 
@@ -59,12 +53,10 @@ def recorded(
         segment.append(np.full(times.size, index, dtype=np.int32))
     output = np.concatenate(psi)
     output = output + noise * rng.standard_normal(output.size)
-    if count:
-        output = count * np.round(output / count)
     return Run.from_arrays(
         np.concatenate(t), output, np.vstack(f),
         uncertainty={"waived": {"earth_rate": "simulated at rest"}}, scale_factor=0.8884 / G0, segment=np.concatenate(segment),
-        base_rate=np.vstack(omega) if np.any(base) else None, resolution=count, units="SI",
+        base_rate=np.vstack(omega) if np.any(base) else None, units="SI",
     )  # fmt: skip
 
 
@@ -77,3 +69,21 @@ def head(positions=12, offset=0.06):
 def levels(sizes=(-10.0, -8.0, 8.0, 10.0), across=1.0):
     """Forces of a centrifuge: levels along X0 [g], gravity across."""
     return G0 * np.array([[size, 0.0, across] for size in sizes])
+
+
+MEANING = "meaning of the cubic signature: servo or k3"
+UNNAMED = "servo that is not named"
+SERVO_LEFT = "servo terms that the model lacks"
+DAMPING_LEFT = "servo damping that the model lacks"
+"""Rows of a budget."""
+
+
+def half_width(result, source, key="scale_factor"):
+    """What a row of the budget holds on either side of a coefficient."""
+    (row,) = (row for row in result.budget if row.source == source)
+    return abs(row.contributions[key]) * np.sqrt(3.0)
+
+
+def known_noise(run, angle="1e-6 rad", walk="1e-9 rad/sqrt(s)"):
+    """The record with its noise levels given."""
+    return replace(run, estimation=EstimationTable(angle_rms=angle, angle_random_walk=walk))

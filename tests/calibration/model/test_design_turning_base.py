@@ -8,9 +8,7 @@ from scipy.integrate import solve_ivp
 
 import piga
 from piga._kernels.arithmetic import weigh_neighbours
-from piga._kernels.estimation import add_product_bows, coupling_columns, smooth_bows
-from piga.calibration.model.design import Design
-from piga.calibration.model.request import Request
+from piga._kernels.estimation import add_product_bows, smooth_bows
 from piga.terms import PRODUCTS
 from piga.units import G0
 
@@ -49,18 +47,6 @@ def test_coefficients_of_a_swaying_base() -> None:
     assert calibration["k0"].value == pytest.approx(BIAS, abs=2e-6)
     assert calibration["tan_beta"].value == pytest.approx(TAN_BETA, rel=1e-5)
     assert calibration["phi"].value == pytest.approx(PHI, abs=1e-5)
-
-
-def test_static_positions_are_straight_lines() -> None:
-    t = 0.05 * np.arange(400)
-    position = t >= 10.0
-    f = G0 * np.where(position[:, None], [0.1, 0.9, 0.3], [0.8, -0.5, 0.1])
-    turn = np.where(position[:, None], [1e-5, 5e-5, 0.0], [5e-5, -1e-5, 0.0])
-    run = piga.Run.from_arrays(t, 0.8 * t, f, scale_factor="0.8884 rad/s/g", base_rate=turn, units="SI")
-    terms = ("scale_factor", "tan_beta", "k0")
-    request = Request(terms, "shared", "output", "information", None, None, 293.15)
-    design = Design(run, request, run.scale_factor)
-    assert design._bows(0, run.size) is None
 
 
 def bows_of(x: np.ndarray, h: np.ndarray) -> np.ndarray:
@@ -132,17 +118,3 @@ def test_columns_with_bows_are_integrals_over_parabolas(name: str) -> None:
     out = np.zeros(1)
     add_product_bows(PRODUCTS.get(name) or ("x", "t"), t, f, bows, warm, h, out)
     assert out[0] == pytest.approx(h[0] * (mean(1.0) - mean(0.0)), rel=0.02, abs=1e-9)
-
-
-@pytest.mark.parametrize("order", [1.0, 2.0])
-def test_coupling_with_bows(order: float) -> None:
-    psi, h, y, z = np.array([0.4, 1.9]), np.array([0.3]), np.array([0.02]), np.array([-0.05])
-    v, weight = np.polynomial.legendre.leggauss(30)
-    angle, parabola = order * (1.15 + 0.75 * v), 1.5 * (1.0 - v * v)
-    columns = np.empty((2, 1))
-    sine, cosine = columns
-    coupling_columns(psi, np.zeros(2), np.zeros(2), np.stack([y, z]), h, np.zeros(1), order, columns)
-    assert sine[0] == pytest.approx(0.15 * weight @ (parabola * (y[0] * np.sin(angle) - z[0] * np.cos(angle))))
-    assert cosine[0] == pytest.approx(
-        0.15 * weight @ (parabola * (y[0] * np.cos(angle) + z[0] * np.sin(angle)))
-    )

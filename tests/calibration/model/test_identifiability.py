@@ -12,13 +12,11 @@ from piga.calibration.model.identifiability import (
     _aligned,
     one_way_in_words,
     refuse_useless,
-    scatter_in_words,
 )
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient
-from piga.records.calibration.diagnostics import SegmentScatter
 from piga.units import G0
 
 
@@ -26,14 +24,6 @@ def coefficient(
     name: str, value: float, std: float, unit: str = "1", segment: str | None = None
 ) -> Coefficient:
     return Coefficient(name, value, std, unit, segment)
-
-
-def test_scatter_of_the_positions_is_a_doubt() -> None:
-    assert "scatter 2.1 times" in scatter_in_words(SegmentScatter(2.1, 1e-6))[0]
-    assert not scatter_in_words(SegmentScatter(1.9, 1e-6))
-    drift = SegmentScatter(1.0, 1e-6, 3.1)
-    assert "scatter 3.1 times more than the noise of the angle" in scatter_in_words(drift)[0]
-    assert not scatter_in_words(SegmentScatter(1.0, 1e-6, 1.9))
 
 
 @pytest.mark.parametrize(
@@ -97,15 +87,8 @@ def test_a_phase_that_no_sample_shows_is_not_determined_and_spoils_nothing() -> 
     cal = piga.calibrate(run, ["scale_factor", "tan_beta", "k0"], phases="per-segment")
     assert np.isfinite(cal.covariance).all()
     phases = [c for c in cal.coefficients if c.name == "phi"]
-    assert [c.std == pytest.approx(np.pi / np.sqrt(3.0)) for c in phases] == [
-        True,
-        False,
-        False,
-        False,
-        True,
-        False,
-        False,
-    ]
+    unknown = [k for k, c in enumerate(phases) if c.std == pytest.approx(np.pi / np.sqrt(3.0))]
+    assert unknown == [0, 4]
     for name, truth in (("scale_factor", 0.8884), ("tan_beta", inst.tan_beta), ("k0", 0.0)):
         assert abs(cal[name].value - truth) < 4.0 * cal[name].std, name
     assert cal["scale_factor"].std < 1e-4

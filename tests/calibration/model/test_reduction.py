@@ -1,16 +1,12 @@
-"""Triangles of rows against certified data, against high precision, and against themselves in chunks."""
+"""Triangles of rows against certified data, and against themselves in chunks."""
 
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 from pathlib import Path
 
-import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from piga.calibration.model.reduction import Reduction
 from piga.errors import ArgumentError
@@ -47,37 +43,6 @@ def test_certified_data(name: str) -> None:
     assert digits(std, np.array(NIST[name]["std"])) >= 5.5
     assert rss == pytest.approx(NIST[name]["residual_sum_of_squares"], rel=1e-6)
     assert total.count == len(y)
-
-
-def test_against_high_precision() -> None:
-    """60-digit least squares of the same columns: the error is far below a standard uncertainty."""
-    x, y = certified("Filip")
-    with mpmath.workdps(60):
-        a, b = mpmath.matrix(x.tolist()), mpmath.matrix(y.tolist())
-        exact = np.array([float(v) for v in mpmath.lu_solve(a.T * a, a.T * b)])
-    total = Reduction.empty(tuple(f"b{i}" for i in range(x.shape[1])))
-    total.add(x, y)
-    estimate, covariance, rss = total.solve()
-    assert np.abs((estimate - exact) / np.sqrt(np.diag(covariance) * rss / 71.0)).max() < 1e-6
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 400), min_size=1, max_size=6))
-def test_split_and_order_do_not_matter(seed: int, sizes: list[int]) -> None:
-    rng = np.random.default_rng(seed)
-    x = rng.standard_normal((sum(sizes) + 6, 4)) * [1.0, 1e-4, 1e3, 1.0]
-    y = rng.standard_normal(len(x))
-    whole = Reduction.empty(("a", "b", "c", "d"))
-    whole.add(x, y)
-    edges = np.cumsum([0, *sizes, 6])
-    parts = []
-    for left, right in pairwise(edges):
-        part = Reduction.empty(whole.names)
-        part.add(x[left:right], y[left:right])
-        parts.append(part)
-    merged = Reduction.stacked([parts[index] for index in rng.permutation(len(parts))])
-    np.testing.assert_allclose(merged.factor, whole.factor, rtol=1e-10, atol=1e-9)
-    assert merged.count == whole.count
 
 
 def rows_of(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Reduction]:

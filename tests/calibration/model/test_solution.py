@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,13 +19,39 @@ from piga.calibration.model.solution import (
     name_parameters,
     solve_parts,
 )
+from piga.records.run_file import EstimationTable
 from piga.units import G0
 from tests.calibration.made.independent import Bench, K
-from tests.calibration.made.random_plans import problem
+from tests.calibration.made.synthetic import at_rest
 
 PROBLEMS = 10_000
 REACHED = 6.0
 """Errors below this many standard uncertainties are noise; one in 10^8 coefficients exceeds it."""
+
+
+def problem(seed: int) -> tuple[piga.Run, dict[str, float]]:
+    """Random coefficients, random plan of moving forces; 400 samples, noise levels known."""
+    rng = np.random.default_rng([seed, 71])
+    truth = {
+        "tan_beta": 10.0 ** rng.uniform(-3.5, -2.0),
+        "phi": rng.uniform(-np.pi, np.pi),
+        "k0": rng.normal(0.0, 1e-3),
+    }
+    t = np.arange(400) * 0.04
+    a = rng.uniform(0.3, 2.0, 3) * rng.choice([-1.0, 1.0], 3)
+    w, p = rng.uniform(0.05, 0.8, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
+    f = np.column_stack(
+        [a[0] + 0.5 * np.sin(w[0] * t + p[0]), *(3.0 * a[i] * np.sin(w[i] * t + p[i]) for i in (1, 2))]
+    )
+    f *= G0
+    inst = piga.Instrument(
+        scale_factor="0.8884 rad/s/g", beta=float(np.arctan(truth["tan_beta"])), alpha0=truth["phi"]
+    )
+    alpha = piga.propagate(inst, t, f + np.array([truth["k0"] * G0, 0.0, 0.0]))
+    output = alpha - truth["phi"] + 2e-5 * rng.standard_normal(t.size)
+    run = piga.Run.from_arrays(t, output, f, uncertainty=at_rest(), scale_factor="0.8884 rad/s/g", units="SI")
+    known = EstimationTable(angle_rms="2e-5 rad", angle_random_walk="1e-8 rad/sqrt(s)")
+    return replace(run, estimation=known), truth
 
 
 def solved(run: piga.Run, truth: dict[str, float]) -> tuple[bool, float, float]:
@@ -34,15 +61,12 @@ def solved(run: piga.Run, truth: dict[str, float]) -> tuple[bool, float, float]:
     at = [c.name for c in calibration.coefficients].index("phi")
     error[at] = np.angle(np.exp(1j * error[at]))
     freedom = np.array([c.degrees_of_freedom for c in calibration.coefficients])
+    std = np.array([c.std for c in calibration.coefficients])
     return (
-        bool((np.abs(error) < REACHED * calibration_std(calibration)).all()),
+        bool((np.abs(error) < REACHED * std).all()),
         float(error @ np.linalg.solve(calibration.covariance, error)),
         float(np.sum(freedom / (freedom - 2.0))),
     )
-
-
-def calibration_std(calibration: piga.Calibration) -> np.ndarray:
-    return np.array([c.std for c in calibration.coefficients])
 
 
 @pytest.mark.slow
