@@ -137,7 +137,7 @@ def test_blocks_when_there_is_one_segment():
 
 @pytest.mark.long
 def test_own_phases_predict_nothing():
-    comparison = piga.compare_models(small(4, per_segment=True), [SMALLER, TRUE], phases="per-segment")
+    comparison = piga.compare_models(small(4), [SMALLER, TRUE], phases="per-segment")
     assert comparison.sets[comparison.best].terms == TRUE
     assert comparison.sets[1].prediction is None
     assert comparison.best_prediction is None
@@ -194,14 +194,15 @@ def test_every_verdict_is_that_of_the_fit(levels, expected):
             assert 0.4 < row.std / fit < 2.5, row
 
 
-def one_level(**options: bool) -> piga.Run:
-    return record(np.random.default_rng(4), seconds=20.0, rate=5.0, levels=(1.0,), count=8, **options)
+@pytest.fixture(scope="module")
+def one_level() -> piga.Run:
+    return record(np.random.default_rng(4), seconds=20.0, rate=5.0, levels=(1.0,), count=8)
 
 
 @pytest.mark.long
-def test_a_term_that_one_level_cannot_tell_leaves_the_others_their_verdict():
+def test_a_term_that_one_level_cannot_tell_leaves_the_others_their_verdict(one_level):
     """a_Z never changes."""
-    told = {row.term: row for row in term_prospects(one_level(), (*COUPLED, "m_Z", "s2", "c2"))}
+    told = {row.term: row for row in term_prospects(one_level, (*COUPLED, "m_Z", "s2", "c2"))}
     asked = {name: told[name].determined for name in ("scale_factor", "k0", "m_Z", "s2", "c2")}
     assert asked == {"scale_factor": True, "k0": True, "m_Z": False, "s2": True, "c2": True}
     assert told["m_Z"].remedy
@@ -213,9 +214,8 @@ def test_a_term_that_one_level_cannot_tell_leaves_the_others_their_verdict():
 
 
 @pytest.mark.long
-def test_a_lost_phase_is_no_obstacle():
-    one = one_level(per_segment=True)
-    lost = replace(one, phase_group=tuple(range(len(one.labels))))
+def test_a_lost_phase_is_no_obstacle(one_level):
+    lost = replace(one_level, phase_group=tuple(range(len(one_level.labels))))
     rows = term_prospects(lost, COUPLED)
     assert rows[0].determined
     assert json.loads(json.dumps(check_document(lost, rows)["terms"]))[0]["term"] == "scale_factor"

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.constant_force import ConstantForce, tumble
 
 import piga
 from piga.calibration.outliers import limit
 from piga.units import G0
 from tests.calibration.made.independent import Bench
 from tests.calibration.made.scenarios import COUPLED
-from tests.calibration.made.synthetic import BETA, SCALE, TERMS, TRUTH, errors, positions, record
+from tests.calibration.made.synthetic import BETA, SCALE, TERMS, errors, record
 
 pytestmark = pytest.mark.long
 
@@ -147,27 +148,16 @@ def test_counts_that_fit_to_the_last_bit_are_no_outliers(zero: int) -> None:
     assert calibration["scale_factor"].value == pytest.approx(10179.0 * count, rel=1e-3)  # rad/s/g
 
 
-def few_readings(rng: np.random.Generator, count: int, readings: int) -> piga.Run:
-    """A head with ``count`` positions of 4 s, angle noise, a phase for each position."""
-    t, segment, f = positions(count, 4.0, (readings - 1) / 4.0)
-    inst = piga.Instrument(scale_factor=SCALE, beta=BETA, alpha0=0.48)
-    feels = f + np.array([TRUTH["k0"] * G0, 0.0, 0.0])
-    parts = [piga.propagate(inst, t[segment == k], feels[segment == k], between="linear") for k in range(count)]
-    output = np.concatenate(parts) - 0.48 + 2.5e-5 * rng.standard_normal(t.size)
-    return piga.Run.from_arrays(t, output, f, scale_factor=SCALE, segment=segment, units="SI")
-
-
 def test_one_wrong_reading_of_thirty_two() -> None:
     """15 records of eight positions: sound ones keep all readings, of others the wrong one alone is left out."""
     kept = alone = 0
     for seed in range(15):
         rng = np.random.default_rng([seed, 8])
-        run = few_readings(rng, 8, 4)
-        terms = ["scale_factor", "tan_beta", "k0"]
-        kept += not piga.calibrate(run, terms).outliers
+        run = ConstantForce("few", tumble(8), 4.0, 0.75, 2.5e-5).record(rng)
+        kept += not piga.calibrate(run, COUPLED).outliers
         output = run.output.copy()
         output[rng.integers(run.size)] += 1e-3
-        result = piga.calibrate(replace(run, output=output), terms)
+        result = piga.calibrate(replace(run, output=output), COUPLED)
         alone += sum(outlier.samples for outlier in result.outliers) == 1
     assert kept >= 14
     assert alone >= 12

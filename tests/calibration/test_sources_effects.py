@@ -70,9 +70,7 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     ],
 )
 def test_one_pass_agrees_with_the_moved_record(terms: str, phases: str) -> None:
-    run = record(
-        np.random.default_rng(3), white=1e-6, seconds=10.0, rate=5.0, per_segment=phases == "per-segment"
-    )
+    run = record(np.random.default_rng(3), white=1e-6, seconds=10.0, rate=5.0)
     check_effects(run, terms, phases)
 
 

@@ -15,7 +15,7 @@ from tests.calibration.made.synthetic import TERMS, record
 
 @pytest.fixture(scope="module")
 def calibration() -> piga.Calibration:
-    run = record(np.random.default_rng(1), seconds=5.0, rate=4.0, count=6, per_segment=True)
+    run = record(np.random.default_rng(1), seconds=5.0, rate=4.0, count=6)
     return piga.calibrate(run, [*TERMS, "s2", "c2"], phases="per-segment")
 
 
