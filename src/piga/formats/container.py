@@ -40,7 +40,6 @@ from piga.formats.text.convention import (
     units_in_names,
 )
 from piga.formats.text.reader import Fault, Faults, missing_hint
-from piga.records.calibration.diagnostics import Event
 from piga.records.text_files import check_unpacked, first_line, open_regular
 from piga.results import Column, arrow_table
 
@@ -92,7 +91,7 @@ class Container(TableStream):
         missing: tuple[str, ...] = (),
     ) -> None:
         RecordStream.__init__(self, path, numeric, label)
-        self.sheet, self.missing, self.noted = sheet, missing, list[Event]()
+        self.sheet, self.missing = sheet, missing
         open_regular(path, "the file; [data] file is relative to the run file").close()
         try:
             self.read()
@@ -112,10 +111,6 @@ class Container(TableStream):
     def read(self) -> None:
         """Read the file."""
         raise NotImplementedError
-
-    def events(self) -> list[Event]:
-        """Faults and omissions."""
-        return self.noted + super().events()
 
     def refusal(
         self, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
@@ -408,11 +403,6 @@ def _times(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
 
 _MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
-_NOTED = {
-    "formula": (re.compile(rb"<f[ />]"), "the value last computed is used"),
-    "hidden-row": (re.compile(rb"<row\b[^>]*\bhidden=\"(?:1|true)\""), "used like the others"),
-}
-"""What is counted in all sheets, and what is done with it."""
 _Row = tuple[int, tuple[Any, ...]]
 """Number and cells of a row."""
 
@@ -429,21 +419,12 @@ class Xlsx(Container):
         import openpyxl
 
         with open_regular(self.path) as stream:
-            noted = self._noted(stream)
+            with zipfile.ZipFile(stream) as container:  # no part exceeds the size that it declares
+                check_unpacked(self.path, sum(part.file_size for part in container.infolist()))
+            stream.seek(0)
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
             rows = enumerate(self._sheet(book).iter_rows(values_only=True), 1)
             self._read_rows([(at, row) for at, row in rows if any(cell is not None for cell in row)])
-        self.noted = noted
-
-    def _noted(self, stream: Any) -> list[Event]:
-        """Formulas and hidden rows. The size that a part declares is never exceeded by :mod:`zipfile`."""
-        with zipfile.ZipFile(stream) as container:
-            parts = container.infolist()
-            check_unpacked(self.path, sum(part.file_size for part in parts))
-            sheets = [container.read(one) for one in parts if one.filename.startswith("xl/worksheets/")]
-        stream.seek(0)
-        counts = {kind: sum(len(mark.findall(one)) for one in sheets) for kind, (mark, _) in _NOTED.items()}
-        return [Event(kind, count, None, _NOTED[kind][1]) for kind, count in counts.items() if count]
 
     def _sheet(self, book: Any) -> Any:
         sheets, name = {sheet.title: sheet for sheet in book.worksheets}, self.sheet
