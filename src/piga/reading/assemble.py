@@ -127,7 +127,7 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
         row=raw.rows,
         resolution=scale.factor if scale.counts else 0.0,
         quality=Quality(rows_read, raw.count, rows_read - raw.count, tuple(raw.events)),
-        model=run_file.model.of(run_file.unit),
+        model=run_file.model,
         estimation=run_file.estimation,
         uncertainty=run_file.uncertainty,
         stand=run_file.stand,

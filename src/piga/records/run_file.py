@@ -486,24 +486,24 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
         raise RunFileError(words, remedy="give it to 'piga calibrate'; only that command takes a set")
     run_file = convert_toml(path, document, RunFile)
     try:
-        check_run_file(run_file)
+        return check_run_file(run_file)
     except (DataError, UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-    return msgspec.structs.replace(run_file, model=run_file.model.of(run_file.unit))
 
 
 _Faults = Iterator[tuple[str, str]]
 """What is wrong, and the remedy."""
 
 
-def check_run_file(run_file: RunFile) -> None:
-    """Check units, options that contradict each other, and terms."""
+def check_run_file(run_file: RunFile) -> RunFile:
+    """Check units, options that contradict each other, and terms. Returns the file with the terms of its kind of instrument."""
     if run_file.instrument.serial:
         check_label(run_file.instrument.serial, "[instrument] serial")
     refuse(_faults(run_file))
-    run_file.model.of(run_file.unit)
-    for terms in run_file.model.compare:
+    model = run_file.model.of(run_file.unit)
+    for terms in model.compare:
         check_terms(terms, where="[model] compare", output=run_file.unit)
+    return msgspec.structs.replace(run_file, model=model)
 
 
 def refuse(faults: _Faults) -> None:

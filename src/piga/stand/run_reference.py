@@ -297,8 +297,7 @@ def run_from_table(
     remedies = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
     try:
         _add_units(data, unit, units, () if si else names)
-        run_file = converted(described, RunFile)
-        check_run_file(run_file)
+        run_file = check_run_file(converted(described, RunFile))
         columns = run_file.data.number_columns(), run_file.data.label_column
         stream = TableStream(WHERE, arrow, *columns, remedies)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
