@@ -82,7 +82,7 @@ def test_calibrations_that_do_not_say_enough() -> None:
     with pytest.raises(piga.CalibrationError, match=r"method: 'best' is not known(?s:.*)exact, published"):
         piga.compensate(run, calibration_of(CAL), method="best")
     many = {**CAL} | {f"{name}{order}": 1e-6 for order in range(2, 24) for name in "sc"}
-    with pytest.raises(piga.CalibrationError, match="uncertain coefficients; at most 40"):
+    with pytest.raises(piga.CalibrationError, match=r"48 uncertain coefficients .* at most 40"):
         piga.compensate(run, calibration_of(many, dict.fromkeys(many, 1e-7)))
     joint = calibration_of(CAL, serial="A")
     own = [replace(c, run="east") if c.name == "k0" else c for c in joint.coefficients]

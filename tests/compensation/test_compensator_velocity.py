@@ -11,6 +11,7 @@ import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.records import Run
 from piga.units import G0
+from tests.compensation.triads import SKEWED, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 H, ROWS = 0.01, 400
@@ -110,6 +111,18 @@ def test_phases_of_segments_are_coefficients_of_their_own():
     assert each[0] == pytest.approx(100.0 * abs(sums[1] - sums[0]), rel=1e-3)
     assert each[1] == pytest.approx(100.0 * abs(sums[2] - sums[0]), rel=1e-3)
     assert each[2] == pytest.approx(np.hypot(each[0], each[1]), rel=1e-9)
+
+
+def test_noise_alone_of_a_skewed_set():
+    """Noise of each angle at both ends, by the inverse of the axes, some of whose parts are negative."""
+    t, axes = np.arange(ROWS) * H, [rotation(angles) for angles in SKEWED[:3]]
+    cal = calibration_of(VALUES, angle_rms=WHITE, angle_random_walk=WALK)
+    psi = [run_of(t, np.tile(one @ [9.0, 5.0, 7.0], (t.size, 1)), phi=0.3).output for one in axes]
+    stream = SetCompensator([Mounted(cal, one) for one in axes])
+    stream.push(t, psi)
+    single = np.sqrt(2 * WHITE**2 + WALK**2 * t[-1]) / (K_G / G0)
+    inverse = np.linalg.inv([one[0] for one in axes])
+    assert stream.u_velocity() == pytest.approx(single * np.linalg.norm(inverse, axis=1), rel=2e-2)
 
 
 @pytest.mark.parametrize("count", [3, 4])

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.sample import Rows, Samples, compensate_record
+from piga._kernels.compensation.data import Samples
+from piga._kernels.compensation.sample import Rows, compensate_record
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.model import (
     Limits,
@@ -33,8 +34,7 @@ from piga.records.run import Run, begins_stretch
 from piga.records.text_files import LARGEST_SAMPLE
 from piga.results import Array
 
-NONE = np.zeros(0)
-NO_RATES = np.zeros((0, 3))
+_NONE, _NO_RATES = np.zeros(0), np.zeros((0, 3))
 
 
 def init_state() -> Any:
@@ -58,8 +58,7 @@ def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
 
 def run_kernel(model: Model, state: Any, samples: Samples, rows: Rows) -> None:
     """Compensate samples into ``rows`` and update ``state`` in place."""
-    work, row = np.empty(at.MOST_TERMS if rows.u.size else 0), at.records(1, at.ROW)
-    compensate_record(samples, model.instrument, model.more, model.base_flag, state, row, rows, work)
+    compensate_record(samples, model.instrument, model.base_flag, state, at.records(1, at.ROW), rows)
 
 
 def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
@@ -206,14 +205,14 @@ class Compensator:
     def push_into(self, columns: Mapping[str, NDArray], rows: Rows) -> None:
         """Compensate the next samples, arrays of float64, into arrays that exist."""
         before, rows = self._state.copy(), rows._replace(sums=self._sums.copy())
-        output, angle = columns["output"], columns.get("angle", NONE)
+        output, angle = columns["output"], columns.get("angle", _NONE)
         output = output if self.model.scale == 1.0 else self.model.scale * output
-        psi, rate = (output, NONE) if self._kind == "angle" else (angle, output)
+        psi, rate = (output, _NONE) if self._kind == "angle" else (angle, output)
+        base, temperature = columns.get("base_rate", _NO_RATES), columns.get("temperature", _NONE)
         samples = Samples(
-            columns["t"], psi, rate, np.ascontiguousarray(columns["f"][:, 1]), np.ascontiguousarray(columns["f"][:, 2]),
-            columns["begins"], np.ascontiguousarray(columns.get("base_rate", NO_RATES)),
-            columns.get("temperature", NONE),
-            columns.get("vibration", NONE),
+            columns["t"], psi[None], rate[None], np.ascontiguousarray(columns["f"][None, :, 1]),
+            np.ascontiguousarray(columns["f"][None, :, 2]), columns["begins"], np.ascontiguousarray(base[None]),
+            temperature[None], columns.get("vibration", _NONE)[None],
         )  # fmt: skip
         run_kernel(self.model, self._state, samples, rows)
         if not math.isfinite(rows.dv.sum()):

@@ -106,14 +106,13 @@ class Phase:
 class Model:
     """One instrument for one phase, for the kernels.
 
-    ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``more``: its harmonics and the
-    covariance of its coefficients. ``base_flag``: flags that are valid for all rows. ``places``: place of each of these
-    coefficients in the calibration; -1: a phase that is given, with the standard uncertainty ``phase_std`` [rad]. ``scale``: what
-    the output is multiplied by; it is not 1 for a direct instrument, whose output is made a small angle that never turns far.
+    ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``base_flag``: flags that are valid for all
+    rows. ``places``: place of each uncertain coefficient in the calibration; -1: a phase that is given, with the standard
+    uncertainty ``phase_std`` [rad]. ``scale``: what the output is multiplied by; it is not 1 for a direct instrument, whose output
+    is made a small angle that never turns far.
     """
 
     instrument: Any
-    more: at.Covariance
     base_flag: int
     needs_temperature: bool
     needs_vibration: bool
@@ -161,17 +160,20 @@ def make_model(
         instrument[name] = value
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
     codes, factor, places = _covariance_factor(calibration, used, phase, scale)
-    more = at.Covariance(
-        np.array(orders, dtype=float),
-        np.array([values.get(f"s{n}", 0.0) for n in orders], dtype=float),
-        np.array([values.get(f"c{n}", 0.0) for n in orders], dtype=float),
-        codes,
-        factor,
-    )
+    if max(len(orders), codes.size) > at.MOST_TERMS:
+        raise CalibrationError(
+            f"the calibration holds {codes.size} uncertain coefficients and harmonics of {len(orders)} orders; at most "
+            f"{at.MOST_TERMS} of each are supported",
+            remedy="calibrate again with fewer terms",
+        )
+    one = instrument[0]
+    one["waves"], one["uncertain"], one["rank"] = len(orders), codes.size, factor.shape[0]
+    for i, n in enumerate(orders):
+        one["orders"][i] = n
+        one["sines"][i], one["cosines"][i] = (values.get(f"{wave}{n}", 0.0) for wave in "sc")
+    one["codes"][: codes.size], one["factor"][: factor.shape[0], : codes.size] = codes, factor
     warm = any(name in values for name in THERMAL_TERMS)
-    return Model(
-        instrument, more, flag, warm, "k2v" in values, places, 0.0 if phase is None else phase.std, scale
-    )
+    return Model(instrument, flag, warm, "k2v" in values, places, 0.0 if phase is None else phase.std, scale)
 
 
 def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:
@@ -268,12 +270,6 @@ def _covariance_factor(
     units = np.array([si_factor(c.name) * (output_scale if c.name == "scale_factor" else 1.0) for c in used])
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     spread = scale > 0.0
-    if np.count_nonzero(spread) > at.MOST_TERMS:
-        raise CalibrationError(
-            f"the calibration holds {np.count_nonzero(spread)} uncertain coefficients; at most "
-            f"{at.MOST_TERMS} are supported",
-            remedy="calibrate again with fewer terms",
-        )
     size = scale[spread]
     values, vectors = np.linalg.eigh(matrix[np.ix_(spread, spread)] / np.outer(size, size))
     keep = values > 1e-12

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.set import Instruments, SetPast, SetRows, SetSamples, empty_solution
+from piga._kernels.compensation.data import Samples
+from piga._kernels.compensation.set import SetRows, SetState, empty_state
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import check_finite, find_begins
-from piga.compensation.model import Limits, Model, Phase, age_flag, make_model, velocity_variance
+from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
 from piga.compensation.result import CompensatedSet, notes_on, notes_on_samples
 from piga.errors import ArgumentError
 from piga.records.arrays import empty
@@ -138,15 +139,17 @@ class SetCompensator:
         self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
         self._count, self._calibrations = len(instruments), [item.calibration for item in instruments]
         self.notes = notes_on(*self._calibrations)
-        self._instruments = stacked(self._models, self._axes)
+        self._instruments = at.records(self._count, at.INSTRUMENT)
+        for i, model in enumerate(self._models):
+            self._instruments[i] = model.instrument[0]
+        self._instruments["axes"] = self._axes
         self._threshold = _fault_threshold(self._count - 3)
-        self._past = SetPast(at.records(self._count, at.PAST), np.zeros(3), np.zeros((2, 3, 3)))
-        self._solution = empty_solution(self._count)
+        self._state = empty_state(self._count)
         self._sums = np.zeros((self._count, 3, SUMS))
 
     def remarks(self) -> tuple[str, ...]:
         """What the samples so far showed: starts at which an output stands still, vibration near the Nyquist frequency."""
-        return notes_on_samples(self._past.past, self._sampled, *self._calibrations)
+        return notes_on_samples(self._state.past, self._sampled, *self._calibrations)
 
     def u_velocity(self) -> Array:
         """Standard uncertainty of the sum of all ``dv`` so far [m/s], (3,); empty without uncertainty."""
@@ -215,17 +218,20 @@ class SetCompensator:
                 "temperature: missing, and a calibration has temperature terms",
                 remedy="give the temperature [K] of each instrument, shape (N, n)",
             )
-        marks = find_begins(self._past.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
+        marks = (
+            find_begins(self._state.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
+        )
         result = self.empty_rows(time) if into is None else into
-        before, sums = SetPast(*(array.copy() for array in self._past)), self._sums.copy()
+        before, sums = SetState(*(array.copy() for array in self._state)), self._sums.copy()
+        unknown = np.zeros((count, 0))
         set_kernel(
-            SetSamples(time, marks, psi, rates, omega, warm), self._instruments, self._flag, self._threshold, self._past,
+            Samples(time, psi, rates, unknown, unknown, marks, omega, warm, unknown),
+            self._instruments, self._flag, self._threshold, self._state,
             SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each, sums),
-            self._solution,
         )  # fmt: skip
         last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
-            self._past = before
+            self._state = before
             check_finite({"output": psi, "rate": rates, "base_rate": omega, "temperature": warm})
         self._sums = sums
         return result
@@ -249,20 +255,3 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
             f"{name}: shape {np.shape(values)} instead of {shape}", remedy="one row per instrument"
         )
     return array
-
-
-def stacked(models: Sequence[Model], axes: Array) -> Instruments:
-    """Arrays of all instruments at one size. Padding: order 1 with amplitude 0, code of k0 with weight 0."""
-    count, each = len(models), [model.more for model in models]
-    instruments = at.records(count, at.INSTRUMENT)
-    waves = max(one.orders.size for one in each)
-    size, rank = max(one.codes.size for one in each), max(one.factor.shape[0] for one in each)
-    orders, sines, cosines = np.ones((count, waves)), np.zeros((count, waves)), np.zeros((count, waves))
-    codes, factors = np.zeros((count, size), dtype=np.int64), np.zeros((count, rank, size))
-    for i, one in enumerate(each):
-        instruments[i] = models[i].instrument[0]
-        orders[i, : one.orders.size] = one.orders
-        sines[i, : one.orders.size], cosines[i, : one.orders.size] = one.sines, one.cosines
-        codes[i, : one.codes.size] = one.codes
-        factors[i, : one.factor.shape[0], : one.codes.size] = one.factor
-    return Instruments(instruments, orders, sines, cosines, codes, factors, axes)

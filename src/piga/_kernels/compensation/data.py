@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.jit import Array, config
+from piga._kernels.jit import Array, config, inline
 from piga.terms import ERROR_TERMS
 
 TERMS = ERROR_TERMS
@@ -20,7 +20,7 @@ SCALE_FACTOR, TAN_BETA, PHI = range(len(TERMS), len(TERMS) + 3)
 HARMONIC = 100
 """Codes of the harmonics of order n of the output angle: 100 + 2 n sine, 101 + 2 n cosine."""
 MOST_TERMS = 40
-"""Most uncertain coefficients of an instrument."""
+"""Most uncertain coefficients of an instrument, and most orders of its harmonics."""
 
 NO_INCREMENT, LOCKED, NEAR_CRITICAL, OUT_OF_RANGE, TEMPERATURE, AGE, COARSE, FAULT = 1, 2, 4, 8, 16, 32, 64, 256
 VIBRATION = 512
@@ -28,7 +28,7 @@ VIBRATION = 512
 
 
 class Instrument(Protocol):
-    """Coefficients of an instrument, SI."""
+    """Coefficients of an instrument, SI, and their covariance ``factor' factor``; ``factor`` is upper triangular."""
 
     K: float
     per_K: float  # 1/K
@@ -68,6 +68,15 @@ class Instrument(Protocol):
     has_terms: float
     published: float  # 1: the published formula
     typical: float  # time that a rate sample stands for at the start of a stretch [s]
+    axes: Array  # (3, 3): rows X0, Y0, Z0 in the common frame of a set
+    waves: float  # number of harmonics of order 2 and more
+    orders: Array
+    sines: Array
+    cosines: Array
+    uncertain: float  # number of uncertain coefficients
+    codes: NDArray[np.int64]
+    rank: float  # rows of the factor
+    factor: Array  # (rank, uncertain)
 
 
 class Past(Protocol):
@@ -168,10 +177,19 @@ class Row(Protocol):
     derror: float
     misfit: float  # [m/s^2]
     weight: float  # [s^4/m^2]
+    work: Array  # derivatives of the indicated force by the uncertain coefficients
 
 
+_SHAPES = dict.fromkeys(("orders", "sines", "cosines", "codes", "work"), (MOST_TERMS,))
+_SHAPES |= {"axes": (3, 3), "factor": (MOST_TERMS, MOST_TERMS)}
 INSTRUMENT, PAST, ROW = (
-    np.dtype([(name, np.float64) for name in kind.__annotations__]) for kind in (Instrument, Past, Row)
+    np.dtype(
+        [
+            (name, np.int64 if name == "codes" else np.float64, _SHAPES.get(name, ()))
+            for name in kind.__annotations__
+        ]
+    )
+    for kind in (Instrument, Past, Row)
 )
 
 
@@ -179,19 +197,6 @@ def records(count: int, fields: np.dtype[Any]) -> Any:
     """``count`` records, all zero. Without the compiler their fields are attributes, too."""
     made = np.zeros(count, fields)
     return made.view(np.recarray) if config.DISABLE_JIT else made
-
-
-class Covariance(NamedTuple):
-    """Harmonics of order 2 and more, and the covariance ``factor' factor`` of the coefficients ``codes``.
-
-    ``factor`` (rank, coefficients) is upper triangular.
-    """
-
-    orders: Array
-    sines: Array
-    cosines: Array
-    codes: NDArray[np.int64]
-    factor: Array
 
 
 class Sample(NamedTuple):
@@ -207,3 +212,40 @@ class Sample(NamedTuple):
     Omega_Z: float
     T: float  # above T_0 [K]
     vibration: float  # root mean square along X0 [m/s^2]; 0 if none is recorded
+
+
+class Samples(NamedTuple):
+    """Columns of N instruments: times [s] and stretches (n,); the others (N, n), or (N, 0) if they are not recorded.
+
+    ``psi`` [rad], ``rate`` [rad/s]: one of them, or both. Transverse force ``y``, ``z`` [m/s^2] (not of a set). ``base_rate``
+    (N, n, 3) or (N, 0, 3) [rad/s]; ``temperature`` [K]; ``vibration`` [m/s^2].
+    """
+
+    t: Array
+    psi: Array
+    rate: Array
+    y: Array
+    z: Array
+    begins: NDArray[np.bool_]
+    base_rate: Array
+    temperature: Array
+    vibration: Array
+
+
+@inline
+def sample_of(samples: Samples, i: int, j: int, T_0: float) -> Sample:
+    """Sample ``j`` of instrument ``i``; what is not recorded is 0."""
+    t, psi, rate, y, z, _, base_rate, temperature, vibration = samples
+    turning = base_rate.shape[1] > 0
+    return Sample(
+        t[j],
+        psi[i, j] if psi.shape[1] else 0.0,
+        rate[i, j] if rate.shape[1] else 0.0,
+        y[i, j] if y.shape[1] else 0.0,
+        z[i, j] if z.shape[1] else 0.0,
+        base_rate[i, j, 0] if turning else 0.0,
+        base_rate[i, j, 1] if turning else 0.0,
+        base_rate[i, j, 2] if turning else 0.0,
+        temperature[i, j] - T_0 if temperature.shape[1] else 0.0,
+        vibration[i, j] if vibration.shape[1] else 0.0,
+    )

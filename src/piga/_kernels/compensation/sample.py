@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import bow_of, limited, sine_cosine
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.data import Covariance, Instrument, Past, Row, Sample
+from piga._kernels.compensation.data import Instrument, Past, Row, Sample, Samples, sample_of
 from piga._kernels.compensation.terms import (
     STRETCHES,
     add_to_velocity,
@@ -375,53 +375,49 @@ def _indicate_sample(
 
 
 @inline
+def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
+    """Keep the first angle of a stretch; it has no row."""
+    y, z = transverse(p, now)
+    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+    keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
+    keep_sample(past, now, now.psi, p.phi, 0.0)
+    past.still = 1.0
+
+
+@inline
 def _compensate_sample(
-    p: Instrument,
-    more: Covariance,
-    past: Past,
-    now: Sample,
-    h: float,
-    kind: int,
-    warm: bool,
-    x: Row,
-    work: Array,
-    sums: Array,
+    p: Instrument, past: Past, now: Sample, h: float, kind: int, warm: bool, wanted: bool, x: Row, sums: Array
 ) -> tuple[float, float, float, int]:
     """Force [m/s^2], velocity increment [m/s], standard uncertainty of the force [m/s^2] and flags at one sample.
 
     Of angles means over the interval (nan, 0 and ``NO_INCREMENT`` where a stretch begins), of rates values at the sample.
     ``h``: the interval since the last one [s]; 0 where a stretch begins. ``kind``: ``ANGLE``, ``RATE``, or ``_BOTH``, a rate
-    with its recorded angle. ``warm``: the temperature is recorded. ``x``, ``work``: room for the row and the regressors; no
-    uncertainty is wanted if ``work`` is empty. ``past`` and ``sums`` are updated.
+    with its recorded angle. ``warm``: the temperature is recorded. ``wanted``: the uncertainty is. ``x``: room for the row.
+    ``past`` and ``sums`` are updated.
     """
     if past.seen == 0.0:
         past.start = now.psi if p.published != 0.0 and kind == ANGLE else 0.0
     elif past.phi != p.phi:
         past.rest += p.phi - past.phi  # a new segment of the same stretch has its own zero
-    if h == 0.0:
-        past.still = 1.0
     before, psi, bend = past.a_x, now.psi, 0.0
     if kind != ANGLE:
+        if h == 0.0:
+            past.still = 1.0
         indicated, psi = _indicate_sample(p, past, now, h, kind == _BOTH, x)
     elif h != 0.0:
         indicated, bend = _indicate_interval(p, past, now, h, x)
     else:
-        y, z = transverse(p, now)
-        keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
-        keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
-        keep_sample(past, now, now.psi, p.phi, 0.0)
+        begin_stretch(p, past, now)
         sums[STRETCHES] += 1.0
         return math.nan, 0.0, math.nan, at.NO_INCREMENT
-    if more.orders.size:
-        indicated -= harmonics(more, x, bend)
-    a, derivative = invert_terms(p, x, indicated)
+    a, derivative = invert_terms(p, x, indicated - harmonics(p, x, bend))
     x.a_x = a
     see_vibration(p, past, now.a_Y, now.a_Z, past.h1 * past.h2 * past.h3 != 0.0, kind != ANGLE, x)
     u = math.nan
-    if work.size:
+    if wanted:
         dead = dead_zone(p, x)
-        u = uncertainty(p, more, x, derivative, dead, work)
-        add_to_velocity(sums, more.codes.size, work, x, derivative, dead)
+        u = uncertainty(p, x, derivative, dead)
+        add_to_velocity(sums, p, x, derivative, dead)
     flags = flags_of(p, x, warm)
     count_standing(past, now.t, flags)
     keep_sample(past, now, psi, p.phi, a)
@@ -431,23 +427,6 @@ def _compensate_sample(
 
 
 ANGLE, RATE, _BOTH = 0, 1, 2
-
-
-class Samples(NamedTuple):
-    """Columns of a record: time [s], transverse force [m/s^2], stretches, base rate (n, 3) [rad/s], temperature [K].
-
-    ``psi`` [rad], ``rate`` [rad/s]: one of them, or both. Base rate, temperature and vibration [m/s^2] may be empty.
-    """
-
-    t: Array
-    psi: Array
-    rate: Array
-    y: Array
-    z: Array
-    begins: NDArray[np.bool_]
-    base_rate: Array
-    temperature: Array
-    vibration: Array
 
 
 class Rows(NamedTuple):
@@ -465,41 +444,22 @@ class Rows(NamedTuple):
 
 @lean
 def compensate_record(
-    samples: Samples,
-    instrument: Any,
-    more: Covariance,
-    base_flag: int,
-    past: Any,
-    row: Any,
-    rows: Rows,
-    work: Array,
+    samples: Samples, instrument: Any, base_flag: int, past: Any, row: Any, rows: Rows
 ) -> None:
-    """Compensate samples one after the other.
+    """Compensate the samples of one instrument, one after the other.
 
     ``instrument``, ``past`` and ``row`` are arrays of one record; the past is updated, the row is room. ``base_flag``: flags for
-    all rows. ``work``: room for the regressors; empty if no uncertainty is wanted.
+    all rows.
     """
     p, last, x = instrument[0], past[0], row[0]
-    t, psi, rate, y, z, begins, base_rate, temperature, vibration = samples
     ax, dv, u, flags, sums = rows
-    turning, warm, shaken = base_rate.shape[0] > 0, temperature.size > 0, vibration.size > 0
-    kind = ANGLE if rate.size == 0 else (_BOTH if psi.size else RATE)
-    for j in range(t.size):
-        now = Sample(
-            t[j],
-            psi[j] if kind != RATE else 0.0,
-            rate[j] if kind != ANGLE else 0.0,
-            y[j],
-            z[j],
-            base_rate[j, 0] if turning else 0.0,
-            base_rate[j, 1] if turning else 0.0,
-            base_rate[j, 2] if turning else 0.0,
-            temperature[j] - p.T_0 if warm else 0.0,
-            vibration[j] if shaken else 0.0,
-        )
-        h = 0.0 if begins[j] or last.seen == 0.0 else now.t - last.t
-        ax[j], dv[j], doubt, flag = _compensate_sample(p, more, last, now, h, kind, warm, x, work, sums)
-        if u.size:
+    kind = ANGLE if samples.rate.size == 0 else (_BOTH if samples.psi.size else RATE)
+    warm, wanted = samples.temperature.size > 0, u.size > 0
+    for j in range(samples.t.size):
+        now = sample_of(samples, 0, j, p.T_0)
+        h = 0.0 if samples.begins[j] or last.seen == 0.0 else now.t - last.t
+        ax[j], dv[j], doubt, flag = _compensate_sample(p, last, now, h, kind, warm, wanted, x, sums)
+        if wanted:
             u[j] = doubt
         if flags.size:
             flags[j] = flag if flag == at.NO_INCREMENT and kind == ANGLE else flag | base_flag

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import math
 
-from numpy.typing import NDArray
-
 from piga._kernels.compensation import data as at
-from piga._kernels.compensation.data import Covariance, Instrument, Past, Row
+from piga._kernels.compensation.data import Instrument, Past, Row
 from piga._kernels.estimation import half_angle_moments
 from piga._kernels.jit import Array, inline, lean
 
@@ -27,18 +25,18 @@ TWELFTH = 1.0 / 12.0
 
 
 @lean
-def harmonics(more: Covariance, x: Row, bend: float) -> float:
+def harmonics(p: Instrument, x: Row, bend: float) -> float:
     """Second and higher harmonics of the output angle [m/s^2]; their mean over an interval by Filon's rule.
 
     ``bend``: ``h^2`` times the slope of ``u_x`` [rad], the sag of the angle to first order.
     """
     total = 0.0
-    for k in range(more.orders.size):
-        order = more.orders[k]
+    for k in range(int(p.waves)):
+        order = p.orders[k]
         even, _, sag = half_angle_moments(order * x.half)
         bent = -0.125 * order * bend * sag
         sine, cosine = math.sin(order * x.angle), math.cos(order * x.angle)
-        total += more.sines[k] * (even * sine + bent * cosine) + more.cosines[k] * (even * cosine - bent * sine)
+        total += p.sines[k] * (even * sine + bent * cosine) + p.cosines[k] * (even * cosine - bent * sine)
     return total
 
 
@@ -52,7 +50,7 @@ def _odd_square_mean(a: float, change: float) -> float:
 
 
 @lean
-def size_mean(a: float, change: float) -> float:
+def _size_mean(a: float, change: float) -> float:
     """Mean of ``|a|`` while a goes linearly from ``a - change/2`` to ``a + change/2``."""
     if abs(a) >= 0.5 * abs(change):
         return abs(a)
@@ -81,11 +79,23 @@ def error_without_powers(p: Instrument, x: Row) -> tuple[float, float]:
     apart = p.k0 + p.m_Y * y + p.m_Z * z + p.k0_T * x.temperature + p.k0_t * (x.t - p.t_0)
     apart += p.k_YY * (y * y + dy * dy * TWELFTH) + p.k_ZZ * (z * z + dz * dz * TWELFTH)
     apart += p.k_YZ * (y * z + dy * dz * TWELFTH)
-    apart += (p.k_XY * dy + p.k_XZ * dz) * x.da_x * TWELFTH
+    apart += (p.k_XY * dy + p.k_XZ * dz + p.k1_T * x.dT) * x.da_x * TWELFTH
     apart += p.k2v * x.vibration
     if p.servo != 0.0 or p.servo_damping != 0.0:
         apart += _servo_error(p, x)
     return apart, p.k1 + p.k_XY * y + p.k_XZ * z + p.k1_T * x.temperature
+
+
+@inline
+def powers(p: Instrument, a: float, change: float, gain: float) -> tuple[float, float]:
+    """Mean of the terms in ``a_x`` over an interval with this change, and the derivative; ``gain`` multiplies ``a_x``."""
+    square, spread = a * a, change * change * TWELFTH
+    value = a * gain + p.k2 * (square + spread) + p.k3 * a * (square + 3.0 * spread)
+    slope = gain + 2.0 * p.k2 * a + 3.0 * p.k3 * (square + spread)
+    if p.k2o != 0.0 or p.k1a != 0.0:
+        value += p.k2o * _odd_square_mean(a, change) + p.k1a * _size_mean(a, change)
+        slope += 2.0 * p.k2o * abs(a) + math.copysign(p.k1a, a)
+    return value, slope
 
 
 @inline
@@ -97,34 +107,30 @@ def invert_terms(p: Instrument, x: Row, indicated: float) -> tuple[float, float]
     if p.has_terms == 0.0:
         return indicated, 1.0
     apart, gain = error_without_powers(p, x)
-    right, derivative, da = indicated - apart - p.k1_T * x.dT * x.da_x * TWELFTH, 1.0 + gain, x.da_x
-    a, odd, spread = right / derivative, p.k2o != 0.0 or p.k1a != 0.0, da * da * TWELFTH
-    if not odd and p.k2 == 0.0 and p.k3 == 0.0:
-        return a, 1.0 / derivative
+    right, slope = indicated - apart, gain
+    a = right / (1.0 + gain)
+    if p.k2 == 0.0 and p.k3 == 0.0 and p.k2o == 0.0 and p.k1a == 0.0:
+        return a, 1.0 / (1.0 + gain)
     for _ in range(_ITERATIONS):
-        square = a * a
-        value = a * gain + p.k2 * (square + spread) + p.k3 * a * (square + 3.0 * spread)
-        derivative = 1.0 + gain + 2.0 * p.k2 * a + 3.0 * p.k3 * (square + spread)
-        if odd:
-            value += p.k2o * _odd_square_mean(a, da) + p.k1a * size_mean(a, da)
-            derivative += 2.0 * p.k2o * abs(a) + math.copysign(p.k1a, a)
-        correction = ((right - a) - value) / derivative
+        value, slope = powers(p, a, x.da_x, gain)
+        correction = ((right - a) - value) / (1.0 + slope)
         a += correction
         if abs(correction) <= _ROUNDING * abs(a):
             break
-    return a, 1.0 / derivative
+    return a, 1.0 / (1.0 + slope)
 
 
 @inline
-def _fill_regressors(codes: NDArray, p: Instrument, x: Row, work: Array) -> None:
-    """Derivatives of the indicated force by the coefficients with these codes."""
+def _fill_regressors(p: Instrument, x: Row) -> None:
+    """Derivatives of the indicated force by the uncertain coefficients."""
     a, y, z, per_K = x.a_x, x.a_Y, x.a_Z, p.per_K
     across, along = y * x.s - z * x.c, y * x.c + z * x.s
     each = (  # in the order of the codes
         1.0, a, a * a, a * a * a, a * abs(a), abs(a), y, z, a * y, a * z, y * y, z * z, y * z, x.t - p.t_0,
         x.temperature, a * x.temperature, x.vibration, -2.0 * x.v * across * across, -x.v * x.v * along,
     )  # fmt: skip
-    for k in range(codes.size):
+    codes, work = p.codes, x.work
+    for k in range(int(p.uncertain)):
         code = codes[k]
         if code < at.SCALE_FACTOR:
             work[k] = each[code]
@@ -140,17 +146,17 @@ def _fill_regressors(codes: NDArray, p: Instrument, x: Row, work: Array) -> None
 
 
 @inline
-def uncertainty(p: Instrument, more: Covariance, x: Row, derivative: float, dead: float, work: Array) -> float:
+def uncertainty(p: Instrument, x: Row, derivative: float, dead: float) -> float:
     """Standard uncertainty of ``a_x`` [m/s^2]: coefficients, rectification, noise of the output, motion between samples, dead zone.
 
-    ``derivative``: of the force by the indicated one. ``work`` receives the regressors of the coefficients.
+    ``derivative``: of the force by the indicated one.
     """
-    _fill_regressors(more.codes, p, x, work)
-    variance = x.hidden * x.hidden
-    for i in range(more.factor.shape[0]):
+    _fill_regressors(p, x)
+    variance, count, factor, work = x.hidden * x.hidden, int(p.uncertain), p.factor, x.work
+    for i in range(int(p.rank)):
         part = 0.0
-        for k in range(i, more.codes.size):
-            part += more.factor[i, k] * work[k]
+        for k in range(i, count):
+            part += factor[i, k] * work[k]
         variance += part * part
     noise = (2.0 * p.white * x.per + p.walk) * x.per * p.per_K * p.per_K
     return math.sqrt((variance + noise + x.doubt * x.doubt) * derivative * derivative + dead * dead)
@@ -173,18 +179,17 @@ SUMS = at.MOST_TERMS + 6
 
 
 @inline
-def add_to_velocity(sums: Array, count: int, work: Array, x: Row, gain: float, dead: float) -> None:
+def add_to_velocity(sums: Array, p: Instrument, x: Row, gain: float, dead: float) -> None:
     """Add a row to the sums over rows from which the uncertainty of the velocity follows.
 
-    ``work``: derivatives of the indicated force by ``count`` coefficients. ``gain``: derivative of the force by the indicated
-    one. ``dead``: uncertainty by the dead zone [m/s^2].
+    ``gain``: derivative of the force by the indicated one. ``dead``: uncertainty by the dead zone [m/s^2].
     """
-    h = x.h
+    h, work = x.h, x.work
     moved, size = gain * h, abs(gain) * h
-    for k in range(count):
+    for k in range(int(p.uncertain)):
         sums[k] += moved * work[k]
     sums[TIME] += h
-    sums[GAIN] += gain * size
+    sums[GAIN] += abs(gain) * size
     sums[DOUBT] += (size * x.doubt) ** 2
     sums[HIDDEN] += size * x.hidden
     sums[DEAD] += h * dead
