@@ -421,7 +421,7 @@ def triad(run: piga.Run, cal: piga.Calibration) -> Values:
     ]
 
     def work() -> None:
-        stream = SetCompensator(mounted, sampled=True, uncertainty=False, flags=False)
+        stream = SetCompensator(mounted, sampled=True, uncertainty=False)
         for times, angles, rates in chunks:
             stream.push(times, angles, rate=rates)
 

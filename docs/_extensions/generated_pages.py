@@ -24,7 +24,7 @@ import piga
 from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
-from piga.compensation.files import TriadFile
+from piga.compensation.sets import TriadFile
 from piga.describe.draft import words_of
 from piga.gravity_norm import SetFile
 from piga.planning.plan_file import PlanTable

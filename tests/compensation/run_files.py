@@ -11,7 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from piga.cli.main import main
-from piga.compensation import files
+from piga.compensation import sets
 from piga.compensation.result import write_rows
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
@@ -56,7 +56,7 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
 
 def small_chunks(monkeypatch, rows: int) -> None:
     """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
-    monkeypatch.setattr("piga.compensation.files.READINGS", 3 * rows)
+    monkeypatch.setattr("piga.compensation.sets.READINGS", 3 * rows)
     monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", rows)
     monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
     monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
@@ -67,8 +67,8 @@ def small_chunks(monkeypatch, rows: int) -> None:
 
 def set_to_file(paths, mounted, out) -> None:
     """Read and compensate the runs of a set into Parquet."""
-    records = [files.read_member(path, item, False) for path, item in zip(paths, mounted, strict=True)]
-    write_rows(files.compensate_set(records, mounted), out, "parquet")
+    records = [sets.read_member(path) for path in paths]
+    write_rows(sets.compensate_set(records, mounted), out, "parquet")
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

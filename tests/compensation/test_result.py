@@ -86,7 +86,7 @@ def test_flags_of_all_rows_that_overlap():
 
 
 def rows_of(t: np.ndarray, dv: np.ndarray) -> Compensated:
-    return Compensated(t, dv, dv, np.zeros(0), np.zeros(0, np.int32))
+    return Compensated(t, dv, dv, np.zeros(0), np.zeros(t.size, np.int32))
 
 
 @pytest.mark.parametrize("period", [0.05, 0.013, 0.003])

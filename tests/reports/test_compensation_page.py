@@ -41,14 +41,14 @@ def test_inputs_are_stated_as_they_were_read(tmp_path, monkeypatch, capsys):
     run, page = write(tmp_path), tmp_path / "page.html"
     files = [tmp_path / name for name in ("run.toml", "run.parquet", "run.json")]
     known = [{"file": path.name, "sha256": digest(path)} for path in files]
-    real = KERNEL.run_kernel
+    real = KERNEL.compensate_record
 
     def replaced(*inputs):
         for path in files:
             path.write_bytes(path.read_bytes() + b"\n")
         real(*inputs)
 
-    monkeypatch.setattr(KERNEL, "run_kernel", replaced)
+    monkeypatch.setattr(KERNEL, "compensate_record", replaced)
     code, text, _ = compensated(tmp_path, monkeypatch, capsys, run, "--report", page, "--json")
     assert code == 0
     assert digest(files[1]) != known[1]["sha256"]
@@ -78,7 +78,7 @@ def test_the_correction_is_the_cross_coupling(kind):
 @pytest.mark.parametrize("option", ["--report", "--out"])
 def test_a_path_that_cannot_be_written_is_told_by_its_option(tmp_path, monkeypatch, capsys, option):
     """Before anything is computed: a file stands where the folder would be."""
-    monkeypatch.setattr(KERNEL, "run_kernel", None)
+    monkeypatch.setattr(KERNEL, "compensate_record", None)
     run, bad = write(tmp_path), tmp_path / "run.json" / ("page.html" if option == "--report" else "x.parquet")
     code, _, err = compensated(tmp_path, monkeypatch, capsys, run, option, bad)
     assert code == 2

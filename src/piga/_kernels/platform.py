@@ -152,16 +152,8 @@ def navigate_chunk(
     earth = stepping.earth
     gm, j2a2, semi_minor, e2, lengthened = earth[0], earth[1], earth[2], earth[3], earth[4]
     k1, k2 = stepping.damping[0] * h, stepping.damping[1] * h
-    r, v, g, g1, g2, d1, d2, normal = (
-        state[0],
-        state[1],
-        state[2],
-        state[3],
-        state[4],
-        state[5],
-        state[6],
-        state[8],
-    )
+    r, v, g, g1, g2 = state[0], state[1], state[2], state[3], state[4]
+    d1, d2, normal = state[5], state[6], state[8]
     d, now = np.empty(3), np.empty(3)
     h24, written, left = h / 24.0, 0, every
     for i in range(dv.shape[0]):

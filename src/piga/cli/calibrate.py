@@ -196,9 +196,9 @@ def compensate(
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
     from piga.compensation import Compensator
-    from piga.compensation.files import is_triad_file, summary_of
     from piga.compensation.model import Phase
-    from piga.compensation.result import format_of, write_rows
+    from piga.compensation.result import format_of, summary_of, write_rows
+    from piga.compensation.sets import is_triad_file
     from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
@@ -377,7 +377,7 @@ def _together(
     details: bool,
 ) -> _Solved:
     """Solve several instruments together, with the calibrations given or those that the triad file names."""
-    from piga.compensation.files import compensate_set, orthogonal_triad, read_member, read_triad
+    from piga.compensation.sets import compensate_set, orthogonal_triad, read_member, read_triad
 
     if method == "published":
         raise ArgumentError(
@@ -392,9 +392,8 @@ def _together(
             f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
             remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
         )
-    each = list(zip(paths, mounted, strict=True))
     with progress("reading"):
-        records = [read_member(path, item, arguments["force"]) for path, item in each]
+        records = [read_member(path) for path in paths]
     inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
     with progress("compensating", records[0].size) as advance:
         result = compensate_set(records, mounted, details=details, progress=advance, **arguments)
@@ -402,7 +401,7 @@ def _together(
     def page(shown: dict[str, str]) -> Page:
         from piga.reports.compensation import compensation_page, of_set
 
-        serials = [(path.stem, item.calibration.serial) for path, item in each]
+        serials = [(path.stem, item.calibration.serial) for path, item in zip(paths, mounted, strict=True)]
         names = tuple(f"{name} ({serial})" if serial else name for name, serial in serials)
         outline, files = of_set(records, mounted, result), list(dict.fromkeys(inputs))
         return compensation_page(outline, names, files, {"method": "exact"} | shown)

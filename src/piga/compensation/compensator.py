@@ -21,7 +21,6 @@ from piga.compensation.model import (
     age_flag,
     check_method,
     make_model,
-    needs_phase,
     phases,
     velocity_variance,
 )
@@ -31,15 +30,11 @@ from piga.progress import Progress, report
 from piga.records.arrays import empty, spans
 from piga.records.calibration.calibration import Calibration
 from piga.records.run import Run, begins_stretch
+from piga.records.terms import harmonic
 from piga.records.text_files import LARGEST_SAMPLE
 from piga.results import Array
 
 _NONE, _NO_RATES = np.zeros(0), np.zeros((0, 3))
-
-
-def init_state() -> Any:
-    """The state before the first sample: one record of :class:`piga._kernels.compensation.data.Past`."""
-    return at.records(1, at.PAST)
 
 
 def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
@@ -56,23 +51,17 @@ def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
     return begins_stretch(steps, float(state["nominal"][0]))
 
 
-def run_kernel(model: Model, state: Any, samples: Samples, rows: Rows) -> None:
-    """Compensate samples into ``rows`` and update ``state`` in place."""
-    compensate_record(samples, model.instrument, model.base_flag, state, at.records(1, at.ROW), rows)
-
-
-def empty_rows(n: int, uncertainty: bool, flags: bool) -> Rows:
-    """Arrays for ``n`` rows; those that are not wanted are empty."""
-    marks = empty(n if flags else 0, np.int32)
-    return Rows(empty(n), empty(n), empty(n if uncertainty else 0), marks, np.zeros(SUMS))
+def empty_rows(n: int, uncertainty: bool) -> Rows:
+    """Arrays for ``n`` rows; that of an uncertainty that is not wanted is empty."""
+    return Rows(empty(n), empty(n), empty(n if uncertainty else 0), empty(n, np.int32), np.zeros(SUMS))
 
 
 _SHAPES: dict[str, tuple[int, ...]] = {
     "t": (), "output": (), "f": (3,), "base_rate": (3,), "temperature": (), "angle": (), "vibration": ()
 }  # fmt: skip
 """Columns of a chunk, and the shape of a row of each."""
-_LOGGED = {"temperature": "K", "vibration": "m/s^2"}
-"""Columns that terms of the calibration need, and their units."""
+_LOGGED = {"temperature": ("temperature terms", "K", "degC"), "vibration": ("the term k2v", "m/s^2", "g")}
+"""Columns that terms of the calibration need: the terms, the unit in a chunk, a usual unit in a file."""
 
 
 class Compensator:
@@ -95,8 +84,8 @@ class Compensator:
     step:
         Nominal interval [s]. It is used to detect gaps and sets the noise of a rate sample that begins a stretch (nan
         without). None: gaps are detected with the median interval of a :class:`piga.Run`, or else with the first interval.
-    uncertainty, flags, limits, max_age_days:
-        As for :func:`piga.compensate`. ``ax`` and ``dv`` do not depend on ``uncertainty`` and ``flags``, to the bit.
+    uncertainty, limits, max_age_days:
+        As for :func:`piga.compensate`. ``ax`` and ``dv`` do not depend on ``uncertainty``, to the bit.
     state:
         State of an earlier compensator, to continue from.
 
@@ -116,7 +105,6 @@ class Compensator:
         phase: Phase | None = None,
         step: float | None = None,
         uncertainty: bool = True,
-        flags: bool = True,
         limits: Limits | None = None,
         max_age_days: float | None = None,
         state: Any = None,
@@ -129,12 +117,11 @@ class Compensator:
         self.method = check_method(method, calibration)
         self.serial, self.notes = calibration.serial, notes_on(calibration)
         self._kind, self._calibration, self._phase = kind, calibration, phase
-        self._uncertainty, self._flags = uncertainty, flags
-        self._typical, self._limits = np.nan if step is None else step, limits
+        self._uncertainty, self._limits, self._typical = uncertainty, limits, np.nan if step is None else step
         self._age = age_flag(calibration, max_age_days)
         self._models: dict[str | None, tuple[Model, Array]] = {}
         self.take_segment(segment)
-        self._state = init_state() if state is None else state.copy()
+        self._state = at.records(1, at.PAST) if state is None else state.copy()
         if step is not None:
             self._state["nominal"] = step
 
@@ -164,7 +151,7 @@ class Compensator:
         if segment not in self._models:
             model = make_model(
                 self._calibration, method=self.method, segment=segment, phase=self._phase,
-                limits=self._limits, flag=self._age, typical=self._typical,
+                limits=self._limits, typical=self._typical,
             )  # fmt: skip
             self._models[segment] = model, np.zeros(SUMS)
         self.model, self._sums = self._models[segment]
@@ -187,18 +174,16 @@ class Compensator:
             If a column is missing, has another length, or contains a number that is not finite.
         """
         columns = _checked(self._columns_of(chunk) if isinstance(chunk, Run) else chunk)
-        for name, needed in (
-            ("temperature", self.model.needs_temperature),
-            ("vibration", self.model.needs_vibration),
-        ):
-            if needed and name not in columns:
+        for name in self.model.needs:
+            terms, unit, _ = _LOGGED[name]
+            if name not in columns:
                 raise ArgumentError(
-                    f"chunk: the key '{name}' is missing, and the calibration has {name} terms",
-                    remedy=f"add '{name}' [{_LOGGED[name]}], one value per time",
+                    f"chunk: the key '{name}' is missing, and the calibration has {terms}",
+                    remedy=f"add '{name}' [{unit}], one value per time",
                 )
         if "begins" not in columns:
             columns["begins"] = find_begins(self._state, columns["t"])
-        rows = empty_rows(columns["t"].size, self._uncertainty, self._flags)
+        rows = empty_rows(columns["t"].size, self._uncertainty)
         self.push_into(columns, rows)
         return Compensated(columns["t"], *rows[:4], self.serial, self.method, self.notes)
 
@@ -214,7 +199,7 @@ class Compensator:
             np.ascontiguousarray(columns["f"][None, :, 2]), columns["begins"], np.ascontiguousarray(base[None]),
             temperature[None], columns.get("vibration", _NONE)[None],
         )  # fmt: skip
-        run_kernel(self.model, self._state, samples, rows)
+        compensate_record(samples, self.model.instrument, self._age, self._state, at.records(1, at.ROW), rows)
         if not math.isfinite(rows.dv.sum()):
             self._state = before
             check_finite(columns)
@@ -257,9 +242,9 @@ def _checked(chunk: Mapping[str, Any]) -> dict[str, Any]:
             )
     check_finite(columns)
     begins = chunk.get("begins")
-    return (
-        columns if begins is None else columns | {"begins": np.atleast_1d(np.asarray(begins, dtype=np.bool_))}
-    )
+    if begins is not None:
+        columns["begins"] = np.atleast_1d(np.asarray(begins, dtype=np.bool_))
+    return columns
 
 
 def check_finite(columns: Mapping[str, Any]) -> None:
@@ -283,7 +268,6 @@ def compensate(
     method: str | None = None,
     phase: Phase | None = None,
     uncertainty: bool = True,
-    flags: bool = True,
     limits: Limits | None = None,
     max_age_days: float | None = None,
     force: bool = False,
@@ -306,8 +290,8 @@ def compensate(
         [Wei2024]. None: the method that matches the calibration's ``phase_source``.
     phase:
         Phase of the output zero. Needed if it differs from the calibration's; see :func:`piga.compensation.identify_phase`.
-    uncertainty, flags:
-        Whether ``u_ax`` and the flags are computed.
+    uncertainty:
+        Whether ``u_ax`` is computed.
     limits, max_age_days:
         Range and age in which the calibration is valid. Rows outside are flagged. None: the range that the
         calibration states, and any age.
@@ -326,20 +310,17 @@ def compensate(
     typical = (record.median_step or 1.0) if record.kind == "rate" else None
     stream = Compensator(
         calibration, kind="rate" if record.kind == "rate" else "angle", method=method, phase=phase,
-        segment=record.labels[int(record.segment_index[0])], step=typical, uncertainty=uncertainty, flags=flags,
+        segment=record.labels[int(record.segment_index[0])], step=typical, uncertainty=uncertainty,
         limits=limits, max_age_days=max_age_days,
     )  # fmt: skip
-    if stream.model.needs_temperature and record.temperature is None:
-        raise CalibrationError(
-            "the calibration has temperature terms, but the record has no temperature",
-            remedy="add [data] temperature = { column = '...', unit = 'degC' }",
-        )
-    if stream.model.needs_vibration and record.vibration is None:
-        raise CalibrationError(
-            "the calibration has the term k2v, but the record has no vibration",
-            remedy="add [data] vibration = { column = '...', unit = 'g' }",
-        )
-    rows = empty_rows(record.size, uncertainty, flags)
+    for name in stream.model.needs:
+        terms, _, unit = _LOGGED[name]
+        if getattr(record, name) is None:
+            raise CalibrationError(
+                f"the calibration has {terms}, but the record has no {name}",
+                remedy=f"add [data] {name} = {{ column = '...', unit = '{unit}' }}",
+            )
+    rows = empty_rows(record.size, uncertainty)
     report(progress, 0, record.size, "compensating")
     for part in _pieces_of(record, stream):
         stream.push_into(
@@ -347,15 +328,9 @@ def compensate(
             Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums),
         )
         report(progress, part.stop, record.size, "compensating")
-    return Compensated(
-        record.t,
-        *rows[:4],
-        record.serial,
-        stream.method,
-        stream.notes + stream.remarks(),
-        stream.u_velocity(),
-        made_from=(record, calibration),
-    )
+    notes, made_from = stream.notes + stream.remarks(), (record, calibration)
+    u_velocity = stream.u_velocity()
+    return Compensated(record.t, *rows[:4], record.serial, stream.method, notes, u_velocity, made_from)
 
 
 def _pieces_of(record: Run, stream: Compensator) -> Iterator[slice]:
@@ -386,7 +361,8 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
     A record of a set (``alone`` False) must always have one phase.
     """
     shared = not alone or phase is not None or None in phases(calibration)
-    if not shared or not needs_phase(calibration) or len(set(record.phase_group)) < 2:
+    turning = any(c.name == "tan_beta" or harmonic(c.name) for c in calibration.coefficients)
+    if not shared or not turning or len(set(record.phase_group)) < 2:
         return
     at = next(i for i, group in enumerate(record.phase_group) if group != record.phase_group[0])
     raise CalibrationError(

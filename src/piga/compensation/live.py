@@ -121,8 +121,8 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
     import pyarrow as pa
 
     try:
-        reader = pa.ipc.MessageReader.open_stream(source)
-        first = _message(reader)
+        messages = iter(pa.ipc.MessageReader.open_stream(source))
+        first = next(messages, None)
         if first is None or first.type != "schema":  # the library reads whatever lies there as a schema
             raise ValueError("it does not begin with a schema")
         schema = pa.ipc.read_schema(first)
@@ -133,7 +133,7 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
                     f"standard input: column '{field.name}' holds {str(field.type)[:60]}, not numbers",
                     remedy="send doubles or integers",
                 )
-        while (message := _message(reader)) is not None:
+        for message in messages:
             batch = pa.ipc.read_record_batch(message, schema)
             batch.validate(full=True)
             yield batch
@@ -142,14 +142,6 @@ def _batches(source: IO[bytes]) -> Iterator[Any]:
             f"standard input: no Arrow stream, or one that is cut off or damaged ({first_line(error)[:200]})",
             remedy="send an Arrow IPC stream",
         ) from None
-
-
-def _message(reader: Any) -> Any:
-    """The next message; None at the end of the stream."""
-    try:
-        return reader.read_next_message()
-    except StopIteration:
-        return None
 
 
 def _check_names(names: list[str]) -> None:

@@ -68,26 +68,16 @@ def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def age_in_days(calibration: Calibration, now: dt.datetime | None = None) -> float | None:
-    """Age of the calibration in days; None if its date cannot be read."""
+def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
+    """The ``age`` flag if the calibration is older than ``max_age_days`` or has no readable date; None: any age is accepted."""
+    if max_age_days is None:
+        return 0
     try:
         made = dt.datetime.fromisoformat(calibration.provenance.created)
     except ValueError:
-        return None
-    if made.tzinfo is None:
-        made = made.replace(tzinfo=dt.UTC)
-    return ((now or dt.datetime.now(dt.UTC)) - made).total_seconds() / 86400.0
-
-
-def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
-    """The ``age`` flag if the calibration is older than ``max_age_days``; None: any age is accepted."""
-    if max_age_days is None:
-        return 0
-    age = age_in_days(calibration)
-    return at.AGE if age is None or age > max_age_days else 0
-
-
-_COMPENSATION_METHODS = ("exact", "published")
+        return at.AGE
+    age = dt.datetime.now(dt.UTC) - (made if made.tzinfo else made.replace(tzinfo=dt.UTC))
+    return at.AGE if age.total_seconds() > 86400.0 * max_age_days else 0
 
 
 _SMALL_K = 1e-9
@@ -106,16 +96,14 @@ class Phase:
 class Model:
     """One instrument for one phase, for the kernels.
 
-    ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``base_flag``: flags that are valid for all
-    rows. ``places``: place of each uncertain coefficient in the calibration; -1: a phase that is given, with the standard
-    uncertainty ``phase_std`` [rad]. ``scale``: what the output is multiplied by; it is not 1 for a direct instrument, whose output
-    is made a small angle that never turns far.
+    ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``needs``: columns that its terms need, of
+    temperature and vibration. ``places``: place of each uncertain coefficient in the calibration; -1: a phase that is given, with
+    the standard uncertainty ``phase_std`` [rad]. ``scale``: what the output is multiplied by; it is not 1 for a direct instrument,
+    whose output is made a small angle that never turns far.
     """
 
     instrument: Any
-    base_flag: int
-    needs_temperature: bool
-    needs_vibration: bool
+    needs: tuple[str, ...]
     places: tuple[int, ...]
     phase_std: float
     scale: float = 1.0
@@ -128,7 +116,6 @@ def make_model(
     segment: str | None = None,
     phase: Phase | None = None,
     limits: Limits | None = None,
-    flag: int = 0,
     typical: float = math.nan,
 ) -> Model:
     """Take the coefficients of one segment (or the shared ones) from a calibration.
@@ -172,8 +159,11 @@ def make_model(
         one["orders"][i] = n
         one["sines"][i], one["cosines"][i] = (values.get(f"{wave}{n}", 0.0) for wave in "sc")
     one["codes"][: codes.size], one["factor"][: factor.shape[0], : codes.size] = codes, factor
-    warm = any(name in values for name in THERMAL_TERMS)
-    return Model(instrument, flag, warm, "k2v" in values, places, 0.0 if phase is None else phase.std, scale)
+    needs = (
+        *["temperature"] * any(name in values for name in THERMAL_TERMS),
+        *["vibration"] * ("k2v" in values),
+    )
+    return Model(instrument, needs, places, 0.0 if phase is None else phase.std, scale)
 
 
 def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:
@@ -199,11 +189,6 @@ def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Arr
     slope *= [si_factor(c.name) for c in calibration.coefficients]
     variance += float(slope @ calibration.covariance @ slope) + given**2
     return variance + float(total[kernels.DOUBT] + total[kernels.HIDDEN] ** 2 + total[kernels.DEAD] ** 2)
-
-
-def needs_phase(calibration: Calibration) -> bool:
-    """True when a term of the calibration turns with the output angle."""
-    return any(c.name == "tan_beta" or harmonic(c.name) for c in calibration.coefficients)
 
 
 def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
@@ -285,10 +270,8 @@ def check_method(method: str | None, calibration: Calibration) -> str:
     """The requested method, or the one that matches the calibration's ``phase_source``."""
     if method is None:
         return "published" if calibration.phase_source == "input" else "exact"
-    if method not in _COMPENSATION_METHODS:
-        raise CalibrationError(
-            f"method: '{method}' is not known", remedy=f"one of: {', '.join(_COMPENSATION_METHODS)}"
-        )
+    if method not in ("exact", "published"):
+        raise CalibrationError(f"method: '{method}' is not known", remedy="one of: exact, published")
     return method
 
 

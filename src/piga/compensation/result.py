@@ -64,10 +64,7 @@ def format_of(path: Path) -> str:
 
 
 def schema_of(
-    columns: Mapping[str, NDArray],
-    empty_cells: bool = False,
-    notes: tuple[str, ...] = (),
-    inputs: Inputs = (),
+    columns: Mapping[str, NDArray], empty_cells: bool = False, notes: tuple[str, ...] = (), inputs: Inputs = ()
 ) -> Any:
     """Arrow schema: types, a unit per column, the meaning of the flag bits, notes and inputs.
 
@@ -156,7 +153,7 @@ def write_rows(
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
             rows += columns["t"].size
             for name, bit in FLAGS.items():
-                flagged[name] += int(np.count_nonzero(columns.get("flags", part.flags) & bit))
+                flagged[name] += int(np.count_nonzero(columns["flags"] & bit))
             report(progress, start + part.size, result.size, "writing")
     except BaseException:
         with suppress(Exception):  # the error that ended the writing is the one to report
@@ -195,7 +192,7 @@ class _Rows(Result, Plotted, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
-        return with_units(self.columns())
+        return {name: Column(values, _unit_of_column(name)) for name, values in self.columns().items()}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,7 +213,7 @@ class Compensated(_Rows, Reported):
     u_ax:
         Standard uncertainty of ``ax`` [m/s^2] from coefficients and noise; empty if not requested.
     flags:
-        Bits, see :data:`piga.compensation.FLAGS`; empty if not requested.
+        Bits, see :data:`piga.compensation.FLAGS`.
     serial, method:
         Serial number of the instrument, and ``"exact"`` or ``"published"``.
     notes:
@@ -252,9 +249,8 @@ class Compensated(_Rows, Reported):
             facts.append(("u of the velocity", f"{self.u_velocity:.2g} m/s"))
         if self.u_ax.size:
             facts.append(("u_ax, median", f"{float(np.nanmedian(self.u_ax)):.3g} m/s^2"))
-        if self.flags.size:
-            raised = {name: int(np.count_nonzero(self.flagged(name))) for name in FLAGS}
-            facts.append(("flags", ", ".join(f"{n} {name}" for name, n in raised.items() if n) or "none"))
+        raised = {name: int(np.count_nonzero(self.flagged(name))) for name in FLAGS}
+        facts.append(("flags", ", ".join(f"{n} {name}" for name, n in raised.items() if n) or "none"))
         return facts + [("note", note) for note in self.notes]
 
     def rows(self, part: slice) -> Compensated:
@@ -330,9 +326,8 @@ class CompensatedSet(_Rows):
     ``plot()`` shows specific force in the common frame, and its uncertainty.
 
     ``t`` [s]; ``f`` (n, 3) [m/s^2], ``dv`` (n, 3) [m/s], ``u_f`` (n, 3) [m/s^2] (or (0, 3)). ``u_velocity`` (3,) or empty: standard
-    uncertainty of the sum of ``dv`` [m/s]. ``residual``
-    [m/s^2] is the root of the summed squared misfits of the instruments (0 for three). ``flags`` are those of one
-    instrument; a flag is set if it is set for any instrument.
+    uncertainty of the sum of ``dv`` [m/s]. ``residual`` [m/s^2] is the root of the summed squared misfits of the instruments (0
+    for three). A flag is set if it is set for any instrument.
     """
 
     t: Array
@@ -355,8 +350,7 @@ class CompensatedSet(_Rows):
     def columns(self) -> dict[str, NDArray]:
         """The columns of the written file, in order."""
         columns = _columns_of(self.t, self.f, self.dv, self.flags, self.u_f)
-        flags = columns.pop("flags", self.flags)
-        return columns | {"residual": self.residual, "flags": flags}
+        return columns | {"residual": self.residual, "flags": columns.pop("flags")}
 
 
 def _columns_of(
@@ -372,12 +366,7 @@ def _columns_of(
                 name + axis: column
                 for axis, column in zip("xyz" if len(each) == 3 else [""], each, strict=True)
             }
-    return columns | ({"flags": flags} if flags.size == t.size else {})
-
-
-def with_units(columns: dict[str, NDArray]) -> dict[str, Column]:
-    """Columns with the units of the written files."""
-    return {name: Column(values, _unit_of_column(name)) for name, values in columns.items()}
+    return columns | {"flags": flags}
 
 
 class Resampler:
@@ -415,8 +404,7 @@ class Resampler:
         ArgumentError
             If the times do not increase.
         """
-        t, added = part.t, part.dv.reshape(part.size, -1)
-        marks = part.flags if part.flags.size == t.size else np.zeros(t.size, np.int32)
+        t, added, marks = part.t, part.dv.reshape(part.size, -1), part.flags
         late = np.flatnonzero(np.diff(t, prepend=self._time if self._time.size else -np.inf) <= 0.0)
         if late.size:
             raise ArgumentError(
@@ -449,3 +437,26 @@ class Resampler:
         none = (flags & FLAGS["no_increment"]) != 0
         mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
         return _columns_of(times, mean, dv, flags)
+
+
+def summary_of(
+    result: Compensated | CompensatedSet,
+    records: Sequence[Run],
+    written: tuple[int, dict[str, int]],
+    inputs: Inputs,
+) -> dict[str, Any]:
+    """What the command says of a compensation, for JSON: rows and flags ``written``, velocity, findings while reading."""
+    repairs: dict[str, int] = {}
+    for record in records:
+        for event in record.quality.events:
+            repairs[event.kind] = repairs.get(event.kind, 0) + event.count
+    u = np.asarray(result.u_velocity)
+    return {
+        "rows": written[0],
+        "velocity_m_s": result.dv.sum(axis=0).tolist(),
+        "u_velocity_m_s": None if np.isnan(u).any() else u.tolist(),
+        "flags": written[1],
+        "repairs": repairs,
+        "notes": result.notes,
+        "inputs": inputs_listed(inputs),
+    }

@@ -30,7 +30,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "campaign": ("campaign file", "piga.campaign.campaign_file", "CampaignFile"),
     "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
     "set": ("run file of a set", "piga.gravity_norm.estimate", "SetFile"),
-    "triad": ("triad file", "piga.compensation.files", "TriadFile"),
+    "triad": ("triad file", "piga.compensation.sets", "TriadFile"),
 }
 """Kinds of TOML files: name, module and class of the whole file."""
 _MOST_PARTS = 6

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga._kernels.jit import config
-from piga._kernels.motion.samples import MotionSamples, propagate_samples
+from piga._kernels.motion.samples import ROOM, MotionSamples, propagate_samples
 from piga._kernels.motion.step import GOOD, TWO_PI_HIGH, TWO_PI_LOW, split_turns
 from piga.errors import ArgumentError
 from piga.instrument.constant_input import constant_motion, explain, float_array, require_finite, time_array
@@ -30,12 +30,6 @@ Between = Literal["smooth", "linear"]
 _EMPTY = float_array("empty", np.empty(0))
 _EMPTY_VECTORS = float_array("empty", np.empty((0, 3)))
 _NO_OUTPUT = np.empty(0)
-
-
-def _require(samples: MotionSamples, status: int) -> None:
-    """Raise an ArgumentError that names the fault, if a kernel did not return GOOD."""
-    if status != GOOD:
-        explain(samples.t, status, f=samples.f, base_rate=samples.base_rate)
 
 
 def _error_rates(
@@ -103,17 +97,17 @@ def _sampled_input(
     )
 
 
-def _initial_state(alpha0: float) -> Array:
-    """Turns and half-angle pair of ``alpha0`` [rad], shape (3,)."""
+def _run_samples(
+    record: MotionSamples, alpha0: float, alpha: Array, rate: Array, names: tuple[str, str] = ("f", "base_rate")
+) -> None:
+    """Fill ``alpha`` and ``rate`` (each (n,) or empty). A fault of the input is named by the ``names`` of its arguments."""
     turns, rest = split_turns(alpha0)
-    return np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
-
-
-def _run_samples(record: MotionSamples, alpha0: float, alpha: Array, rate: Array) -> None:
-    """Fill ``alpha`` and ``rate`` (each (n,) or empty)."""
+    state = np.array([turns, math.sin(0.5 * rest), math.cos(0.5 * rest)])
     with np.errstate(all="ignore"):
-        status = propagate_samples(_initial_state(alpha0), alpha, rate, record)
-    _require(record, status)
+        status = propagate_samples(state, alpha, rate, record, np.zeros(ROOM))
+    if status != GOOD:
+        explain(record.t, status, **dict(zip(names, (record.f, record.base_rate), strict=True)))
+    alpha[:1] = alpha0
 
 
 @overload
@@ -211,7 +205,6 @@ def propagate(
     alpha = np.empty(record.t.size)
     rate = np.empty(record.t.size if with_rate else 0)
     _run_samples(record, inst.alpha0, alpha, rate)
-    alpha[0] = inst.alpha0
     return (alpha, rate) if with_rate else alpha
 
 
@@ -267,18 +260,12 @@ def propagate_increments(
     """
     times = time_array("t", t, least=2)
     force = float_array("dv", dv, (times.size - 1, 3))
-    turning = float_array("base_angle", np.empty((0, 3)))
-    if base_angle is not None:
-        turning = float_array("base_angle", base_angle, force.shape)
+    turning = _EMPTY_VECTORS if base_angle is None else float_array("base_angle", base_angle, force.shape)
     alpha = np.empty(times.size)
     steps = MotionSamples(
         times, force, turning, _EMPTY, _EMPTY, inst.scale_factor, inst.tan_beta, 0.0, 0.0, smooth=False
     )
-    with np.errstate(all="ignore"):
-        status = propagate_samples(_initial_state(inst.alpha0), alpha, _NO_OUTPUT, steps)
-    if status != GOOD:
-        explain(times, status, dv=force, base_angle=turning)
-    alpha[0] = inst.alpha0
+    _run_samples(steps, inst.alpha0, alpha, _NO_OUTPUT, ("dv", "base_angle"))
     return alpha
 
 

@@ -71,7 +71,7 @@ class CompensationOutline:
 
     def raised(self) -> dict[str, Array]:
         """Times of the rows with each flag that is raised, since the first row [s]."""
-        times = {name: self.t[self.result.flagged(name)] for name in FLAGS if self.result.flags.size}
+        times = {name: self.t[self.result.flagged(name)] for name in FLAGS}
         return {name: t for name, t in times.items() if t.size}
 
     def rms(self, *names: str) -> float:

@@ -180,8 +180,8 @@ class Row(Protocol):
     work: Array  # derivatives of the indicated force by the uncertain coefficients
 
 
-_SHAPES = dict.fromkeys(("orders", "sines", "cosines", "codes", "work"), (MOST_TERMS,))
-_SHAPES |= {"axes": (3, 3), "factor": (MOST_TERMS, MOST_TERMS)}
+_SHAPES: dict[str, tuple[int, ...]] = {"axes": (3, 3), "factor": (MOST_TERMS, MOST_TERMS)}
+_SHAPES |= dict.fromkeys(("orders", "sines", "cosines", "codes", "work"), (MOST_TERMS,))
 INSTRUMENT, PAST, ROW = (
     np.dtype(
         [

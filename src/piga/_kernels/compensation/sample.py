@@ -430,7 +430,7 @@ ANGLE, RATE, _BOTH = 0, 1, 2
 
 
 class Rows(NamedTuple):
-    """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] and flags; the last two may be empty.
+    """Results (n,): ``ax`` [m/s^2], ``dv`` [m/s], ``u`` [m/s^2] (may be empty) and flags.
 
     ``sums``: those of :func:`.terms.add_to_velocity`, updated.
     """
@@ -461,5 +461,4 @@ def compensate_record(
         ax[j], dv[j], doubt, flag = _compensate_sample(p, last, now, h, kind, warm, wanted, x, sums)
         if wanted:
             u[j] = doubt
-        if flags.size:
-            flags[j] = flag if flag == at.NO_INCREMENT and kind == ANGLE else flag | base_flag
+        flags[j] = flag if flag == at.NO_INCREMENT and kind == ANGLE else flag | base_flag

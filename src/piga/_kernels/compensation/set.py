@@ -85,7 +85,7 @@ def empty_state(count: int) -> SetState:
 
 
 class SetRows(NamedTuple):
-    """Results: ``force`` [m/s^2], ``dv`` [m/s], (n, 3); ``u`` (n, 3) or (0, 3): not wanted, empty ``flags`` alike.
+    """Results: ``force`` [m/s^2], ``dv`` [m/s], (n, 3); ``u`` (n, 3) or (0, 3): not wanted; ``flags`` (n,).
 
     ``residual`` (n,) is the root of the sum of squared misfits [m/s^2]. ``misfits`` [m/s^2] and flags ``each`` of the
     single instruments, (N, n) or (N, 0): not wanted. ``sums`` (N, 3, SUMS): those of :func:`.terms.add_to_velocity` for each
@@ -250,6 +250,7 @@ def compensate_set(
     ``each`` (N,): records of the instruments. A fault is flagged where the weighted sum of squared misfits exceeds ``threshold``.
     """
     count, sampled, wanted, first = each.size, samples.rate.shape[1] > 0, rows.u.shape[0] > 0, state.past[0]
+    warm = samples.temperature.shape[1] > 0
     gap = Spacing(0.0, 0.0, 0.0, 0.0, 0.0)
     for j in range(samples.t.size):
         h = 0.0 if samples.begins[j] or first.seen == 0.0 else samples.t[j] - first.t
@@ -279,13 +280,19 @@ def compensate_set(
             if wanted:
                 rows.u[j, axis] = math.sqrt(max(state.inverse[axis, axis], 0.0)) if known else math.nan
         rows.residual[j] = math.sqrt(state.sums[0])
-        if rows.flags.size:
-            _flag_row(j, h, samples, base_flag, each, state, rows)
-            if count > 3 and state.sums[1] > threshold:
-                rows.flags[j] |= at.FAULT
+        none, together = at.NO_INCREMENT if h == 0.0 else 0, 0
         for i in range(count):
-            past = state.past[i]
-            keep_interval(past, h, 0.0, 0.0, 0.0, state.rows[i].doubt if h != 0.0 and past.h1 != 0.0 else 0.0)
+            past, x = state.past[i], state.rows[i]
+            if h == 0.0:
+                past.still = 1.0
+            flag = base_flag | flags_of(each[i], x, warm)
+            count_standing(past, samples.t[j], flag)
+            together |= flag
+            if rows.each.shape[1]:
+                rows.misfits[i, j], rows.each[i, j] = x.misfit, flag | none
+            keep_interval(past, h, 0.0, 0.0, 0.0, x.doubt if h != 0.0 and past.h1 != 0.0 else 0.0)
+        fault = count > 3 and state.sums[1] > threshold
+        rows.flags[j] = together | none | (at.FAULT if fault else 0)
 
 
 @lean
@@ -302,9 +309,7 @@ def _begin_stretch(j: int, samples: Samples, each: Any, state: SetState, rows: S
         rows.force[j, axis], rows.dv[j, axis] = math.nan, 0.0
         if rows.u.shape[0]:
             rows.u[j, axis] = math.nan
-    rows.residual[j] = math.nan
-    if rows.flags.size:
-        rows.flags[j] = at.NO_INCREMENT
+    rows.residual[j], rows.flags[j] = math.nan, at.NO_INCREMENT
 
 
 @lean
@@ -331,22 +336,3 @@ def _add_velocities(each: Any, state: SetState, sums: Array) -> None:
             n = state.inverse[axis]
             gain = x.weight * (n[0] * x.axis_x + n[1] * x.axis_y + n[2] * x.axis_z)
             add_to_velocity(sums[i, axis], each[i], x, gain, abs(gain) * dead)
-
-
-@lean
-def _flag_row(
-    j: int, h: float, samples: Samples, base_flag: int, each: Any, state: SetState, rows: SetRows
-) -> None:
-    """Flags of the row: those of each instrument at the force found, and a row without an increment."""
-    together, none = base_flag, at.NO_INCREMENT if h == 0.0 else 0
-    for i in range(each.size):
-        past, x = state.past[i], state.rows[i]
-        if h == 0.0:
-            past.still = 1.0
-        flag = flags_of(each[i], x, samples.temperature.shape[1] > 0)
-        count_standing(past, samples.t[j], flag)
-        together |= flag
-        if rows.each.shape[1]:
-            rows.misfits[i, j] = x.misfit
-            rows.each[i, j] = base_flag | flag | none
-    rows.flags[j] = together | none

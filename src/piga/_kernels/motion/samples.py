@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from piga._kernels.arithmetic import (
     bow_inside,
     double_arctangent,
@@ -23,7 +21,7 @@ from piga._kernels.arithmetic import (
     share_at_end,
     weigh_neighbours,
 )
-from piga._kernels.jit import Array, inline, kernel
+from piga._kernels.jit import Array, inline, lean
 from piga._kernels.motion.step import (
     GOOD,
     SMALL_STEP,
@@ -37,7 +35,8 @@ from piga._kernels.motion.step import (
 
 BLOCK = 128
 """Steps of a block: its arrays fit the processor's nearest memory. At its end the pair is brought to unit length."""
-_ROWS, _ROOM = 18, BLOCK + 8
+ROOM = (18, BLOCK + 8)
+"""Shape of the room for the fields of a block."""
 
 
 class MotionSamples(NamedTuple):
@@ -62,7 +61,7 @@ class MotionSamples(NamedTuple):
 
 
 class Block(NamedTuple):
-    """A block of steps; each field (_ROOM,).
+    """A block of steps; each field (BLOCK + 8,).
 
     Around it: intervals ``h`` [s], weights of :func:`.arithmetic.weigh_neighbours`, second derivatives ``bend`` of one input, and
     effective rates ``a, y, z`` [rad/s] at the samples, or means over the intervals. Of its steps: increments ``A, Y, Z`` [rad];
@@ -91,7 +90,7 @@ class Block(NamedTuple):
 
 @inline
 def _block_in(r: Array) -> Block:
-    """The block in room (_ROWS, _ROOM)."""
+    """The block in its room."""
     return Block(
         r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13], r[14], r[15], r[16], r[17]
     )  # fmt: skip
@@ -137,13 +136,8 @@ def _add_bows(x: Array, steps: int, skipped: int, edges: tuple[bool, bool], b: B
     """
     first, last, h, bend = max(skipped, 1), steps - 1, b.h, b.bend
     second_derivatives(x[: steps + 1], b.before, b.after, bend)
-    inside, each, share, early, late = (
-        turn[first - skipped :],
-        h[first:],
-        b.share[first:],
-        bend[first:],
-        bend[first + 1 :],
-    )
+    inside, each, share = turn[first - skipped :], h[first:], b.share[first:]
+    early, late = bend[first:], bend[first + 1 :]
     for i in range(last - first):
         inside[i] += each[i] * bow_inside(each[i], share[i], early[i], late[i])
     if edges[0]:
@@ -178,11 +172,9 @@ def _turn_means(count: int, steps: int, skipped: int, b: Block) -> None:
                 0.5 * h1 if i == k + 1 else (-0.5 * h0 if i == k else h1 + 0.5 * h2)
             )  # from the first one's end
             share = (3.0 * middle + h0 - h1) / (h0 + h1 + h2)
-        sa, sy, sz = (
-            _slope(a, k, rise, next_rise, share),
-            _slope(y, k, rise, next_rise, share),
-            _slope(z, k, rise, next_rise, share),
-        )
+        sa = _slope(a, k, rise, next_rise, share)
+        sy = _slope(y, k, rise, next_rise, share)
+        sz = _slope(z, k, rise, next_rise, share)
         cross = h[i] * h[i] * h[i] * (1.0 / 12.0)
         b.A[j] = h[i] * a[i] + cross * (y[i] * sz - z[i] * sy)
         b.Y[j] = h[i] * y[i] + cross * (a[i] * sz - z[i] * sa)
@@ -214,9 +206,13 @@ def _carry_pair(
     return count, turns, p, q
 
 
-@inline
-def _propagate(state: Array, alpha: Array, rate: Array, samples: MotionSamples, room: Array) -> int:
-    """See :func:`propagate_samples`; ``room`` (_ROWS, _ROOM)."""
+@lean
+def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSamples, room: Array) -> int:
+    """Unwrapped angle [rad] and rate [rad/s] at each sample.
+
+    ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated. ``room`` has the shape ``ROOM``.
+    Returns ``GOOD``, or the sample at which an unusable step begins. A smooth record of less than four samples is linear.
+    """
     t, n, rows, b = samples.t, samples.t.size, samples.f.shape[0], _block_in(room)
     turns, p, q = state[0], state[1], state[2]
     for first in range(0, n, BLOCK):
@@ -252,13 +248,3 @@ def _propagate(state: Array, alpha: Array, rate: Array, samples: MotionSamples, 
                 out[j] = a[j] + (2.0 * pj * qj * y[j] - (qj * qj - pj * pj) * z[j]) / (pj * pj + qj * qj)
     state[0], state[1], state[2] = turns, p, q
     return GOOD
-
-
-@kernel
-def propagate_samples(state: Array, alpha: Array, rate: Array, samples: MotionSamples) -> int:
-    """Unwrapped angle [rad] and rate [rad/s] at each sample.
-
-    ``alpha`` and ``rate`` (n,): each of these may be empty. ``state``: turns, P, Q; updated. Returns ``GOOD``, or the sample at
-    which an unusable step begins. A smooth record of less than four samples is linear.
-    """
-    return _propagate(state, alpha, rate, samples, np.zeros((_ROWS, _ROOM)))

@@ -88,14 +88,6 @@ def step_functions(x: float) -> tuple[float, float]:
     return math.cos(remainder) - 1.0, math.sin(remainder) / root
 
 
-@kernel
-def _half_turns(x: float, increment: float) -> float:
-    """Whole turns of alpha that :func:`step_functions` takes out, with the sign of ``increment``."""
-    if x > -1.0:
-        return 0.0
-    return math.copysign(np.rint(math.sqrt(-x) / math.pi), increment)
-
-
 @inline
 def magnus_increments(
     h: float, a0: float, y0: float, z0: float, a1: float, y1: float, z1: float
@@ -128,7 +120,9 @@ def advance(
         scale = -scale
     p1, q1 = p1 * scale, q1 * scale
     rest1 = double_arctangent(p1, q1)
-    turns1 = turns + _half_turns(x, A) + np.rint((rest + increment - rest1) / _TWO_PI)
+    turns1 = turns + np.rint((rest + increment - rest1) / _TWO_PI)
+    if x < -1.0:  # the turns that step_functions takes out
+        turns1 += math.copysign(np.rint(math.sqrt(-x) / math.pi), A)
     return turns1, rest1, p1, q1
 
 

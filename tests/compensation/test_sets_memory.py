@@ -11,7 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from piga.compensation.files import is_triad_file
+from piga.compensation.sets import is_triad_file
 from piga.units import G0
 from tests.compensation.run_files import CAL, REFERENCE, run_text
 from tests.compensation.twin_data import calibration_of

@@ -8,7 +8,7 @@ import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation.files import orthogonal_triad
+from piga.compensation.sets import orthogonal_triad
 from tests.compensation.run_files import CAL, REFERENCE, command, run_text, set_to_file, write
 from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import calibration_of

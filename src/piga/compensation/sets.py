@@ -1,13 +1,16 @@
-"""Compensation of a set of instruments: their mounting and their common solution."""
+"""Compensation of a set of instruments: mounting and common solution, the records of a set on one base, the files of a set."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import or_
+from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,13 +19,21 @@ from piga._kernels.compensation.data import Samples
 from piga._kernels.compensation.set import SetRows, SetState, empty_state
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
-from piga.compensation.compensator import check_finite, find_begins
+from piga.compensation.compensator import check_finite, check_phase_kept, check_serial, find_begins
 from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
 from piga.compensation.result import CompensatedSet, notes_on, notes_on_samples
-from piga.errors import ArgumentError
-from piga.records.arrays import empty
+from piga.errors import ArgumentError, DataError, RunFileError
+from piga.progress import Progress, report
+from piga.records import read_toml
+from piga.records.arrays import empty, integrated_rate
 from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.document import read_with_digest
+from piga.records.run import Run
+from piga.records.run_file import Quantity
+from piga.records.text_files import toml_bytes, toml_document
 from piga.results import Array, Result
+from piga.stand.run_reference import read_run
+from piga.units import to_si
 
 _ORTHOGONAL = 1e-6
 """Largest deviation from a rotation that an axes matrix may have (own choice)."""
@@ -96,10 +107,10 @@ class SetCompensator:
     sampled:
         True: angle and rate are recorded, and the force is the value at the samples. False: angles only, and the
         force is the mean over each interval.
-    uncertainty, flags:
-        Whether these columns are computed.
+    uncertainty:
+        Whether it is computed.
     details:
-        Whether misfits and flags of each instrument are kept (needs ``flags``).
+        Whether misfits and flags of each instrument are kept.
     max_age_days, limits, step:
         As for one instrument.
 
@@ -115,7 +126,6 @@ class SetCompensator:
         *,
         sampled: bool = False,
         uncertainty: bool = True,
-        flags: bool = True,
         details: bool = False,
         limits: Limits | None = None,
         max_age_days: float | None = None,
@@ -123,8 +133,7 @@ class SetCompensator:
     ) -> None:
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
         _check_spread(self._axes)
-        self._sampled, self._uncertainty, self._flags = sampled, uncertainty, flags
-        self._details = details and flags
+        self._sampled, self._uncertainty, self._details = sampled, uncertainty, details
         self._models = [
             make_model(
                 item.calibration,
@@ -143,7 +152,11 @@ class SetCompensator:
         for i, model in enumerate(self._models):
             self._instruments[i] = model.instrument[0]
         self._instruments["axes"] = self._axes
-        self._threshold = _fault_threshold(self._count - 3)
+        self._threshold = math.inf
+        if self._count > 3:
+            from scipy.special import chdtri
+
+            self._threshold = float(chdtri(self._count - 3, _FAULT_PROBABILITY))
         self._state = empty_state(self._count)
         self._sums = np.zeros((self._count, 3, SUMS))
 
@@ -161,10 +174,13 @@ class SetCompensator:
 
     def empty_rows(self, t: Array) -> CompensatedSet:
         """Rows at the times ``t`` (n,) [s] with undefined values."""
-        n, u, marks = t.size, t.size if self._uncertainty else 0, t.size if self._flags else 0
-        details = (self._count, n if self._details else 0)
+        n, u, details = (
+            t.size,
+            t.size if self._uncertainty else 0,
+            (self._count, t.size if self._details else 0),
+        )
         return CompensatedSet(
-            t, empty((n, 3)), empty((n, 3)), empty((u, 3)), empty(n), empty(marks, np.int32),
+            t, empty((n, 3)), empty((n, 3)), empty((u, 3)), empty(n), empty(n, np.int32),
             empty(details), empty(details, np.int32),
         )  # fmt: skip
 
@@ -208,12 +224,12 @@ class SetCompensator:
         rates = np.zeros((count, 0)) if rate is None else self._scale * _shaped("rate", rate, (count, n))
         omega = np.zeros((count, 0, 3)) if base_rate is None else _shaped("base_rate", base_rate, (count, n, 3))
         warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
-        if any(model.needs_vibration for model in self._models):
+        if any("vibration" in model.needs for model in self._models):
             raise ArgumentError(
                 "a calibration has the term k2v, and a set has no column of the vibration",
                 remedy="calibrate without k2v, or compensate each instrument by itself",
             )
-        if temperature is None and any(model.needs_temperature for model in self._models):
+        if temperature is None and any("temperature" in model.needs for model in self._models):
             raise ArgumentError(
                 "temperature: missing, and a calibration has temperature terms",
                 remedy="give the temperature [K] of each instrument, shape (N, n)",
@@ -237,15 +253,6 @@ class SetCompensator:
         return result
 
 
-def _fault_threshold(freedom: int) -> float:
-    """Weighted sum of squares that a sound set exceeds with probability ``_FAULT_PROBABILITY``."""
-    if freedom < 1:
-        return math.inf
-    from scipy.special import chdtri
-
-    return float(chdtri(freedom, _FAULT_PROBABILITY))
-
-
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.ascontiguousarray(np.asarray(values, dtype=float))
     if array.ndim == len(shape) - 1:
@@ -255,3 +262,173 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
             f"{name}: shape {np.shape(values)} instead of {shape}", remedy="one row per instrument"
         )
     return array
+
+
+APART = 1e-6
+"""Largest difference between the times of one row in the records of a set, as a share of the first interval."""
+
+
+def compensate_set(
+    records: Sequence[Run],
+    instruments: Sequence[Mounted],
+    *,
+    uncertainty: bool = True,
+    limits: Limits | None = None,
+    max_age_days: float | None = None,
+    force: bool = False,
+    details: bool = False,
+    progress: Progress | None = None,
+) -> CompensatedSet:
+    """Specific force of whole records of three or more instruments, sampled at the same times.
+
+    Records of angles give the mean over each interval. Records of rates give the force at the samples; their angles
+    are integrated from the rates. ``details`` keeps misfits and flags of each instrument. ``progress`` is called as
+    ``progress(done, total, what)`` with the rows done; it returns False to stop (:mod:`piga.progress`).
+
+    Raises
+    ------
+    DataError
+        If the records differ in their times or in the kind of output.
+    CalibrationError, ArgumentError
+        As :class:`SetCompensator`, and for calibrations of other instruments unless ``force``.
+    """
+    _check_together(records)
+    if len(records) != len(instruments):
+        raise ArgumentError(
+            f"{len(records)} records for {len(instruments)} instruments",
+            remedy="give one record for each instrument",
+        )
+    for record, item in zip(records, instruments, strict=True):
+        check_serial(record, item.calibration, force)
+        check_phase_kept(record, item.calibration, item.phase, alone=False)
+    first, rates = records[0], records[0].kind == "rate"
+    stream = SetCompensator(
+        [replace(item, segment=item.segment or r.labels[0]) for r, item in zip(records, instruments, strict=True)],
+        sampled=rates, uncertainty=uncertainty, limits=limits, max_age_days=max_age_days, details=details,
+        step=(first.median_step or 1.0) if rates else None,
+    )  # fmt: skip
+    begins = np.logical_or.reduce([record.begins for record in records])
+    angles = [integrated_rate(r.t, r.output, begins) if rates else r.output for r in records]
+    columns: dict[str, list[Array]] = {"output": angles}
+    if rates:
+        columns["rate"] = [record.output for record in records]
+    if any(record.base_rate is not None for record in records):
+        still = np.broadcast_to(0.0, (first.size, 3))
+        columns["base_rate"] = [still if record.base_rate is None else record.base_rate for record in records]
+    warm = [record.temperature for record in records if record.temperature is not None]
+    if len(warm) == len(records):
+        columns["temperature"] = warm
+    whole = stream.empty_rows(first.t)
+    report(progress, 0, first.size, "compensating")
+    step = max(READINGS // len(records), 1)
+    for start in range(0, first.size, step):
+        part = slice(start, min(start + step, first.size))
+        chunk = {name: np.array([one[part] for one in each]) for name, each in columns.items()}
+        stream.push(np.ascontiguousarray(first.t[part]), **chunk, begins=begins[part], into=whole.rows(part))
+        report(progress, part.stop, first.size, "compensating")
+    return replace(whole, notes=stream.notes + stream.remarks(), u_velocity=stream.u_velocity())
+
+
+def _check_together(records: Sequence[Run]) -> None:
+    """Refuse records that were not sampled at the same times."""
+    if not records:
+        raise DataError("a set without a record", remedy="give the records of three or more instruments")
+    first = records[0]
+    apart = APART * (first.t[1] - first.t[0])
+    for index, record in enumerate(records[1:], start=1):
+        name, other = record.source or f"record {index}", first.source or "record 0"
+        if record.kind != first.kind:
+            raise DataError(
+                f"{name}: the output is of kind '{record.kind}', that of {other} is '{first.kind}'",
+                remedy="log the same kind with all instruments",
+            )
+        both = slice(min(record.size, first.size))
+        differs = np.abs(record.t[both] - first.t[both]) > apart
+        if differs.any():
+            at = int(np.argmax(differs))
+            raise DataError(
+                f"{name}: row {record.row[at]}, t = {record.t[at]:.9g} s: the times are not those of {other}",
+                remedy="sample all instruments together, or interpolate them to common times first",
+            )
+        if record.size != first.size:
+            raise DataError(
+                f"{name}: has {record.size} rows that can be used, {other} has {first.size}",
+                remedy="sample all instruments together, and cut the records to the time they share",
+            )
+
+
+Row = tuple[float, float, float]
+
+
+class TriadInstrument(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[[triad.instrument]]``: run, calibration and axes (rows X0, Y0, Z0 in the common frame)."""
+
+    run: str
+    calibration: str
+    axes: tuple[Row, Row, Row]
+    phase: Quantity | None = None
+
+
+class TriadTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """``[triad]``."""
+
+    instrument: tuple[TriadInstrument, ...]
+
+
+class TriadFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A whole triad file."""
+
+    triad: TriadTable
+
+
+def is_triad_file(path: Path) -> bool:
+    """True if a TOML file has a table ``[triad]``. Errors of an unreadable file are left to its reader."""
+    try:
+        return "triad" in toml_document(path)
+    except RunFileError:
+        return False
+
+
+def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[str, str]]]:
+    """Run files and mounted instruments of a triad file; file names are relative to it.
+
+    The last result lists the triad file and the calibrations, each with its name and the SHA-256 of what was read.
+    """
+    path = Path(path)
+    raw = toml_bytes(path)
+    file = read_toml(path, TriadFile, raw)
+    items = file.triad.instrument
+    if len(items) < 3:
+        raise RunFileError(
+            f"{path}: [[triad.instrument]] occurs {len(items)} times", remedy="write it three times or more"
+        )
+    read = [read_with_digest(path.parent / item.calibration) for item in items]
+    mounted = [
+        Mounted(
+            calibration,
+            np.array(item.axes),
+            None if item.phase is None else Phase(to_si(item.phase, "rad", what=f"{path}: phase")),
+        )
+        for item, (calibration, _) in zip(items, read, strict=True)
+    ]
+    named = [Path(item.calibration).name for item in items]
+    inputs = [(path.name, hashlib.sha256(raw).hexdigest()), *zip(named, (d for _, d in read), strict=True)]
+    return [path.parent / item.run for item in items], mounted, inputs
+
+
+def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
+    """Three instruments whose input axes are x, y and z of the common frame, in this order.
+
+    The transverse axes follow in cyclic order: the second has ``X0 = y, Y0 = z, Z0 = x``.
+    """
+    return [Mounted(c, np.roll(np.eye(3), -i, axis=0)) for i, c in enumerate(calibrations)]
+
+
+READINGS = 1 << 15
+"""Number of instruments times rows processed at once."""
+
+
+def read_member(path: Path) -> Run:
+    """The record of an instrument, without the columns that a set does not need."""
+    record = read_run(path, need_reference=False)
+    return replace(record, f=np.zeros((0, 3)), segment_index=record.segment_index[:0])
