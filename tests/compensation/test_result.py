@@ -57,7 +57,6 @@ def test_numbers_of_every_kind_of_column():
             numbers_of(column), expected, equal_nan=True
         )
         assert nulls_of(column).tolist() == [value is None for value in column.to_pylist()]
-        assert numbers_of(column).flags.writeable
 
 
 def test_flags_are_counted_in_the_rows_that_are_written(tmp_path):

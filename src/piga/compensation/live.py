@@ -103,7 +103,7 @@ def compensate_arrow(source: IO[bytes], sink: IO[bytes], stream: Compensator) ->
 
     rows, writer = 0, None
     for number, batch in enumerate(_batches(source), start=1):
-        columns = {name: numbers_of(batch.column(name)) for name in batch.schema.names}
+        columns = {name: np.array(numbers_of(batch.column(name))) for name in batch.schema.names}
         compensated = _pushed(stream, columns, f"batch {number}").columns()
         schema = schema_of(compensated, notes=stream.notes)
         writer = writer or pa.ipc.new_stream(sink, schema)

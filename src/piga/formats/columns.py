@@ -120,7 +120,7 @@ class RecordStream:
         coded = pa.types.is_dictionary(column.type)
         encoded = column if coded else column.cast(pa.string()).dictionary_encode()
         indices = encoded.indices.cast(pa.int32())
-        index, words = _plain_values(indices, np.int32), encoded.dictionary.cast(pa.string())
+        index, words = _plain_values(indices, np.int32).copy(), encoded.dictionary.cast(pa.string())
         index[nulls_of(indices)] = len(words)
         table = np.full(len(words) + 1, -1, dtype=np.int32)
         first = np.sort(np.unique(index, return_index=True)[1])
@@ -187,20 +187,20 @@ def column_letter(index: int) -> str:
 
 
 def _plain_values(column: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """Copy of the memory of an Arrow array. Null entries have arbitrary values. Arrow's ``to_numpy`` would load pandas."""
+    """The memory of an Arrow array, read-only. Null entries have arbitrary values. Arrow's ``to_numpy`` would load pandas."""
     values = np.frombuffer(column.buffers()[1] or b"", dtype=kind, count=column.offset + len(column))
-    return np.array(values[column.offset :])
+    return values[column.offset :]
 
 
 def numbers_of(column: Any) -> NDArray[np.float64]:
-    """Values of an Arrow array of numbers as float64; null becomes nan."""
+    """Values of an Arrow array of numbers as float64; null becomes nan. Read-only where they are the memory of the array."""
     import pyarrow as pa
 
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         column = column.cast(pa.float64(), safe=False)
     # NumPy converts plain numbers: Arrow's cast loads its compute functions, which takes a tenth of a second.
-    values = _plain_values(column, column.type.to_pandas_dtype()).astype(np.float64, copy=False)
+    values = _plain_values(column, column.type.to_pandas_dtype()).astype(np.float64, copy=column.null_count > 0)
     if column.null_count:
         values[nulls_of(column)] = np.nan
     return values

@@ -121,9 +121,10 @@ class ColumnWriter:
             self._parts = []
 
     def finish(self) -> NDArray[Any]:
-        """All rows."""
+        """All rows; the parts are given back."""
         if self._stream is None:
-            return np.concatenate(self._parts)
+            parts, self._parts = self._parts, []
+            return np.concatenate(parts)
         with _room(), self._stream as stream:
             stream.flush()
             return np.asarray(np.memmap(stream, self._dtype, "r+"))
