@@ -187,7 +187,7 @@ def test_the_first_intervals_of_a_stretch_with_a_square_term(uneven: bool) -> No
     assert error[1:4].max() < 2e-6  # the square alone is 1e-5 g there
 
 
-@pytest.mark.parametrize("name", ["k2", "k_YY", "k_ZZ", "k_YZ", "k_XY", "k_XZ"])
+@pytest.mark.parametrize("name", ["k2", "k2o", "k_YY", "k_ZZ", "k_YZ", "k_XY", "k_XZ"])
 def test_products_of_changing_forces_in_a_set(name: str) -> None:
     """The mean of a product over an interval is not the product of the means: 1e-5 g at 8 g/s."""
     t = 0.01 * np.arange(40)

@@ -7,8 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import piga
@@ -22,7 +20,7 @@ from piga.instrument import (
     propagate_rate,
 )
 from piga.units import G0
-from tests.instrument.references import EPS, constant_cases, linear_records
+from tests.instrument.references import EPS, constant_cases, linear_record
 
 pytestmark = pytest.mark.interpreted
 
@@ -65,9 +63,9 @@ def test_constant_input_is_exact_whatever_the_step(steps):
         assert abs(alpha - reference) < tolerance, case
 
 
-@pytest.mark.parametrize("record", range(4))
-def test_fourth_order_against_high_precision(record):
-    inst, t, f, reference = linear_records()[record]
+@pytest.mark.parametrize("seed", range(3))
+def test_fourth_order_against_high_precision(seed):
+    inst, t, f, reference = linear_record(seed)
     errors = []
     for parts in (1, 2, 4, 8, 16):
         fine, force = refined(t, f, parts)
@@ -158,24 +156,6 @@ def test_a_million_samples_do_not_lose_the_angle():
     reference, _ = closed_form(INST, t[-1], *force)
     alpha = propagate(INST, t, np.tile(force, (t.size, 1)), between="linear")
     assert alpha[-1] == pytest.approx(reference, abs=2e-12)
-
-
-records = st.integers(2, 6).flatmap(
-    lambda n: st.lists(
-        st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)), min_size=n, max_size=n
-    )
-)
-
-
-@settings(max_examples=40, deadline=None)
-@given(records, st.floats(-4, 4))
-def test_time_reversal(force, alpha0):
-    """Running the record backwards with the sign of everything turned returns to the start."""
-    f = np.array(force)
-    t = np.arange(len(f)) * 0.1
-    alpha = propagate(Instrument(0.09, 0.02, alpha0), t, f, between="linear")
-    back = propagate(Instrument(0.09, 0.02, float(alpha[-1])), t, -f[::-1], between="linear")
-    assert back[::-1] == pytest.approx(alpha, abs=1e-12)
 
 
 def test_one_sample_and_zero_force():
