@@ -240,3 +240,28 @@ def test_locked_start_is_named(kind):
             first = 2 if kind == "angle" else 1
             assert f"in {101 - first} rows, the first at t = {t[first - 1]:.9g} s" in compensated.notes[1]
             assert compensated.flagged("locked")[first - 1 : 100].all()
+
+
+def smooth(t: np.ndarray) -> np.ndarray:
+    """A force that sways along X0 and goes linearly across, where smooth samples mean a smooth force [m/s^2]."""
+    a = 1.0 + 0.3 * np.sin(np.pi * t)
+    return G0 * np.stack([a, 5.0 + 0.05 * t, 0.4 - 0.03 * t], axis=1)
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
+def test_smooth_force_comes_back_to_1e12_g(rate):
+    """From the fourth interval on, plus the rounding of the angle; 3e-11 g at 50 Hz."""
+    t = np.arange(0.0, (4.0 if numba.config.DISABLE_JIT else 20.0), 1.0 / rate)
+    run = run_of(t, smooth(t), phi=PHI)
+    rounding = 2 * np.finfo(float).eps * np.abs(run.output).max() * rate / run.scale_factor
+    left = np.abs(piga.compensate(run, CAL).ax[1:] - mean_force(smooth(t)))[3:]
+    assert left.max() < (4e-11 if rate < 100.0 else 2e-12) * G0 + 2.0 * rounding
+
+
+@pytest.mark.interpreted
+def test_uneven_intervals_cost_the_higher_differences_only():
+    rng = np.random.default_rng(3)
+    t = np.cumsum(0.01 * (1.0 + 0.2 * rng.random(500)))
+    left = np.abs(piga.compensate(run_of(t, smooth(t), phi=PHI), CAL).ax[1:] - mean_force(smooth(t)))[3:]
+    assert left.max() < 1e-8 * G0
