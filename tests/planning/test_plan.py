@@ -360,6 +360,16 @@ def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_a_test_that_is_too_short_for_the_usual_ones(tmp_path: Path) -> None:
+    """Four positions and their moves do not fit; two visits of one do. It was refused before."""
+    wish = request(tmp_path, **TINY | {"duration": 300, "terms": '"scale_factor"'}, plan='move = "100 s"')
+    plan = plan_test(wish)
+    assert plan.standard == ()
+    assert len(plan.best.visits) == 2
+    assert "than" not in plan.summary().split("The test")[0]
+
+
+@pytest.mark.long
 def test_dwells_of_whole_turns(tmp_path: Path) -> None:
     plan = plan_test(request(tmp_path, **TINY | {"rate": 4, "duration": 270}, whole="true"))
     turns = [visit.dwell / visit.candidate.revolution for visit in plan.best.visits]

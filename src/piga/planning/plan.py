@@ -121,11 +121,6 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     search = Search.of(request, usable)
     steps("standard plans")
     standard = _standard(request, usable)
-    if not standard:
-        raise CalibrationError(
-            f"[plan] duration = {request.duration:g} s is too short: no usual test fits into it",
-            remedy="lengthen [plan] duration, or shorten minimum_dwell or the moves",
-        )
     steps("choosing visits")
     best, value = search.best(standard)
     criterion, (_, bound, derivative) = search.criterion, search.mixture
@@ -162,7 +157,7 @@ def _check(request: PlanRequest, usable: tuple[Candidate, ...]) -> None:
 
 
 def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
-    """Standard plans: evenly spaced positions, or equal time on all without a dividing head."""
+    """Standard plans that fit the time: evenly spaced positions, or equal time on all without a dividing head."""
     head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
     places = {"all levels": usable}
     if head is not None:

@@ -110,12 +110,13 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
 
 
 def _tiles(plan: Plan) -> tuple[Tile, ...]:
-    reference, best = plan.standard[-1], plan.best
+    best = plan.best
     tiles = [
         Tile("Visits", str(len(best.visits)), detail=f"of {len(plan.candidates)} candidates"),
         Tile("Recorded", short(best.recorded), "s", f"of {short(best.duration)} s"),
     ]
-    if not reference.refusal:
+    if plan.standard and not plan.standard[-1].refusal:
+        reference = plan.standard[-1]
         ratios = [best.std(name) / reference.std(name) for name in plan.names]
         gain = math.exp(sum(map(math.log, ratios)) / len(ratios)) if min(ratios) > 0.0 else 0.0
         unit, than = f"% {'smaller' if gain <= 1.0 else 'larger'}", f"than {reference.name}, geometric mean"
