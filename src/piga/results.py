@@ -116,11 +116,7 @@ class Result(ByValue, Shown):
 
 
 class Reported(Shown):
-    """Base of results that have a summary and a report page. Its ``repr`` is the title and the tiles of the summary."""
-
-    def heading(self) -> str:
-        """The title of the summary."""
-        return str(self._subject().brief(self).title)
+    """Base of results that have a summary and a report page. Its ``repr`` holds the tiles of the summary."""
 
     def in_brief(self) -> list[tuple[str, str]]:
         """The key numbers of the summary."""
