@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import pickle
 import sys
 from pathlib import Path
 
@@ -11,11 +10,7 @@ import pytest
 
 from piga import errors
 from piga.errors import DataError, Fix, IdentifiabilityError, PigaError, Where, missing_package
-
-
-def pickled(error: PigaError) -> PigaError:
-    return pickle.loads(pickle.dumps(error))  # noqa: S301 - its own bytes
-
+from tests.short_record import pickled
 
 KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, PigaError)]
 

@@ -9,7 +9,6 @@ import json
 from pathlib import Path
 
 import pytest
-from jsonschema.exceptions import SchemaError
 
 from tests import json_documents
 from tests.certificate.certificate_data import key_pair
@@ -107,13 +106,8 @@ def test_every_command(
             write_history(Path("c/calibration.json"), Path("history"))
 
 
-def test_schemas_are_valid_and_closed() -> None:
-    """A schema that allowed any key would freeze nothing."""
+def test_schemas_are_valid() -> None:
     paths = sorted(json_documents.FOLDER.glob("*.json"))
     assert len(paths) > 25
     for path in paths:
-        schema = json.loads(path.read_text(encoding="utf-8"))
-        try:
-            json_documents.Draft202012Validator.check_schema(schema)
-        except SchemaError as error:
-            pytest.fail(f"{path.name}: {error.message}")
+        json_documents.Draft202012Validator.check_schema(json.loads(path.read_text(encoding="utf-8")))

@@ -53,14 +53,6 @@ def test_links_and_pictures_lead_somewhere(page: Path) -> None:
         assert result.exists(), f"{name_of(page)}: {target}"
 
 
-def test_every_page_of_the_contents_exists() -> None:
-    entries = re.findall(
-        r"^((?!reference/generated)[\w/-]+)$", (DOCS / "index.md").read_text(encoding="utf-8"), re.M
-    )
-    missing = {entry for entry in entries if not (DOCS / f"{entry}.md").exists()}
-    assert not missing
-
-
 def test_no_remote_assets() -> None:
     """Nothing that the pages or the theme's settings name is fetched from elsewhere."""
     for path in [*pages(), DOCS / "conf.py", DOCS / "_static" / "piga.css"]:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import piga
-from piga.records.run_file import EstimationTable
 from piga.reports.calibration.figures import creep_figure
 from tests.calibration.made.independent import Bench, head
+from tests.calibration.made.servo_data import known_noise
 from tests.calibration.made.synthetic import at_rest
 
 SECONDS, PAUSE, TIME = 60.0, 5.0, 5.0
@@ -113,8 +112,7 @@ def turned() -> piga.Run:
 
 def weighed(run: piga.Run) -> piga.Run:
     """The run with stated levels of noise: its weights do not depend on the creep."""
-    levels = {"angle_rms": f"{BENCH.white} rad", "angle_random_walk": f"{BENCH.walk} rad/sqrt(s)"}
-    return replace(run, estimation=msgspec.convert(levels, EstimationTable))
+    return known_noise(run, f"{BENCH.white} rad", f"{BENCH.walk} rad/sqrt(s)")
 
 
 @pytest.mark.long
