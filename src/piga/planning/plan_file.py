@@ -132,11 +132,6 @@ def read_plan(path: str | Path, *, content: str | None = None) -> PlanRequest:
         uncertainty: UncertaintyTable = convert_table("uncertainty", table.uncertainty, UncertaintyTable)
         unit = output_unit(table)
         check_terms(model.terms, where="[model] terms", output=unit)
-        if unit != GYRO and table.mounting is not None:
-            raise RunFileError(
-                "[mounting] belongs to a gyro accelerometer, and the instrument is direct",
-                remedy="leave it out",
-            )
         _check(table, model)
         return _request(path, table, model, uncertainty)
     except (PigaError, UnitError) as error:
@@ -156,9 +151,13 @@ def _check(table: PlanTable, model: ModelTable) -> None:
     fixed = ", ".join(
         str(stand.__struct_config__.tag) for stand in _parts(table) if not isinstance(stand, _PlannedStand)
     )
-    electronics, phase = table.electronics, "tan_beta" in model.terms
+    electronics, phase, plan = table.electronics, "tan_beta" in model.terms, table.plan
+    known = [*model.terms, *(["phi"] if phase and model.phases == "shared" else [])]
+    wished = {"coefficients": plan.coefficients or (), "combination": plan.combination, "wanted": plan.wanted}
     no_rate = electronics.output == "rate" and model.phases == "shared" and with_phase(model.terms)
     for refused, words, remedy in (
+        (output_unit(table) != GYRO and table.mounting is not None,
+         "[mounting] belongs to a gyro accelerometer, and the instrument is direct", "leave it out"),
         (timely, f"[model] terms: '{timely}' depends on when a position is taken and cannot be planned",
          "leave it out of the plan; it can still be estimated from the test"),
         (phase and not {"beta", "tan_beta"} & {*table.truth},
@@ -172,37 +171,19 @@ def _check(table: PlanTable, model: ModelTable) -> None:
          "leave [noise] out of the plan"),
         (fixed, f"[stand] kind '{fixed}' has no positions or levels to choose from",
          "plan with a dividing head, centrifuge, rate table, or a composite of these"),
+        *((name not in known, f"[plan] {key}: '{name}' is not estimated", f"estimated are: {', '.join(known)}")
+          for key, names in wished.items() for name in names),
+        *((plan.criterion == kind and not wished[key], f"[plan] criterion '{kind}' needs {key}",
+           f"add {key} = {{ k0 = ... }}") for kind, key in (("c", "combination"), ("wanted", "wanted"))),
     ):  # fmt: skip
         if refused:
             raise RunFileError(words, remedy=remedy)
     check_servo(request_of(model))
-    _check_names(table.plan, model)
 
 
 def _parts(table: PlanTable) -> tuple[SimpleStand, ...]:
     """The parts of the stand, one unless it is a composite."""
     return table.stand.parts if isinstance(table.stand, CompositeTable) else (table.stand,)
-
-
-def _check_names(plan: PlanSettings, model: ModelTable) -> None:
-    known = list(model.terms) + (["phi"] if "tan_beta" in model.terms and model.phases == "shared" else [])
-    for key, names in (
-        ("coefficients", plan.coefficients or ()),
-        ("combination", tuple(plan.combination)),
-        ("wanted", tuple(plan.wanted)),
-    ):
-        for name in names:
-            if name not in known:
-                raise RunFileError(
-                    f"[plan] {key}: '{name}' is not estimated", remedy=f"estimated are: {', '.join(known)}"
-                )
-    needed = {"c": ("combination", plan.combination), "wanted": ("wanted", plan.wanted)}
-    if plan.criterion in needed and not needed[plan.criterion][1]:
-        name = needed[plan.criterion][0]
-        raise RunFileError(
-            f"[plan] criterion '{plan.criterion}' needs {name}",
-            remedy=f"add {name} = {{ k0 = ... }}",
-        )
 
 
 def _request(path: Path, table: PlanTable, model: ModelTable, uncertainty: UncertaintyTable) -> PlanRequest:
