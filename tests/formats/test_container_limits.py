@@ -122,15 +122,3 @@ def test_fields_of_structs(tmp_path: Path) -> None:
     for name in ("log", "log.speed", "log.inner.words", "log.t.n", "first.t", "log.f(:,3)", "log.f(:,0)"):
         with pytest.raises(piga.DataError):
             read_mat(tmp_path / "a.mat", (name,))
-
-
-def test_declared_sizes_beyond_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    savemat(path, {"x": VALUES.reshape(-1, 1)})
-    written = path.read_bytes()
-    at = written.index(struct.pack("<II", 9, 8 * ROWS))
-    for rows in (1 << 28, ROWS + 1):
-        longer = written[:at] + struct.pack("<II", 9, 8 * rows & 0xFFFFFFFF) + written[at + 8 :]
-        path.write_bytes(longer.replace(struct.pack("<ii", ROWS, 1), struct.pack("<ii", rows, 1)))
-        with pytest.raises(piga.DataError):
-            CONTAINERS[".mat"](path, ("x",), None)

@@ -226,15 +226,6 @@ def test_rows_are_left_out_and_no_increment_crosses_them(run):
         run.without(np.zeros(3, bool))
 
 
-def test_units_that_a_frame_states_are_used(run):
-    """Those of ``attrs``, as ``to_dataframe`` writes them; the caller's own come first."""
-    frame = pd.DataFrame(a_table(run))
-    frame.attrs["units"] = UNITS | {"psi": "rad"}
-    made = piga.Run.from_dataframe(frame, **(LAB | {"units": {"psi": "deg"}}))
-    assert np.allclose(made.output, run.output, rtol=0, atol=1e-12)
-    assert np.allclose(made.t, run.t)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -26,15 +26,11 @@ def read(folder: Path, content: bytes, name: str = "run.csv", **options: str) ->
     ("content", "row"),
     [
         (HEADER + LONG + b"\n", 2),
-        (HEADER + LONG, 2),
-        (HEADER + LONG + b"\n" + ROWS, 2),
         (HEADER + b"s,1,g,g,g\n" + LONG + b"\n", 3),
         (LONG + b"\n" + ROWS, 1),
-        (LONG, 1),
         (b"# made by a logger\n\n" + HEADER + LONG + b"\n", 4),
         (b"# noise\n" * (MAX_HEAD // 8) + HEADER + ROWS, MAX_HEAD // 8 + 1),
         ((HEADER + LONG + b"\n" + ROWS).decode().encode("utf-16"), 2),
-        ((HEADER + LONG + b"\n" + ROWS).replace(b"\n", b"\r"), 2),
     ],
 )
 def test_first_lines_that_are_too_long(tmp_path: Path, content: bytes, row: int) -> None:
