@@ -95,6 +95,21 @@ def test_prediction_as_refits(run, compared):
 
 
 @pytest.mark.long
+def test_estimates_are_those_of_a_calibration_with_this_noise(run, compared):
+    estimation = msgspec.structs.replace(
+        run.estimation,
+        angle_rms=f"{compared.angle_rms!r} rad",
+        angle_random_walk=f"{compared.angle_random_walk!r} rad/sqrt(s)",
+    )
+    for one in compared.sets[1:4]:
+        alone = piga.calibrate(replace(run, estimation=estimation), list(one.terms))
+        for mine, other in zip(one.coefficients, alone.coefficients, strict=True):
+            assert mine.key == other.key
+            assert abs(mine.value - other.value) < 1e-6 * other.std
+            assert other.std > 0.3 * mine.std, "the scatter of the positions also shows what the terms miss"
+
+
+@pytest.mark.long
 def test_truth_is_best_and_ranked(compared):
     assert compared.sets[compared.best].terms == TRUE
     assert compared.sets[compared.best_prediction].terms == TRUE
