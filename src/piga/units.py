@@ -106,72 +106,50 @@ class Unit:
         return self.text
 
 
-class _UnitParser:
-    """Recursive descent over ``term (('*'|'/') term)*`` with ``^power`` and ``sqrt(...)``."""
+_Size = tuple[float, tuple[float, ...]]
+"""SI value and powers of the base units."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.tokens: list[str] = []
-        position = 0
-        while position < len(text.rstrip()):
-            match = _TOKEN.match(text, position)
-            if match is None:
-                raise UnitError(
-                    f"unit '{text}' cannot be read at '{text[position:].strip()}'", remedy=_UNIT_REMEDY
-                )
-            self.tokens.append(match.group(1))
-            position = match.end()
-        self.at = 0
 
-    def peek(self) -> str:
-        return self.tokens[self.at] if self.at < len(self.tokens) else ""
+def _tokens(text: str) -> list[str]:
+    """Words, numbers and signs of a unit."""
+    tokens, position = [], 0
+    while match := _TOKEN.match(text, position):
+        tokens.append(match.group(1))
+        position = match.end()
+    if position < len(text):
+        raise UnitError(f"unit '{text}' cannot be read at '{text[position:].strip()}'", remedy=_UNIT_REMEDY)
+    return tokens
 
-    def take(self) -> str:
-        token = self.peek()
-        self.at += 1
-        return token
 
-    def expression(self) -> tuple[float, tuple[float, ...]]:
-        factor, dimension = self.power()
-        while self.peek() and self.peek() != ")":
-            operator = self.take() if self.peek() in "*/·" else "*"
-            next_factor, next_dimension = self.power()
-            sign = -1.0 if operator == "/" else 1.0
-            factor *= next_factor**sign
-            dimension = tuple(a + sign * b for a, b in zip(dimension, next_dimension, strict=True))
-        return factor, dimension
+def _product(tokens: list[str]) -> _Size:
+    """Factors with ``*``, ``/`` or a blank between them, taken from the left of ``tokens``."""
+    factor, dimension = _power(tokens)
+    while tokens and tokens[0] != ")":
+        operator = tokens.pop(0) if tokens[0] in ("*", "/", "·") else "*"
+        next_factor, next_dimension = _power(tokens)
+        sign = -1.0 if operator == "/" else 1.0
+        factor *= next_factor**sign
+        dimension = tuple(a + sign * b for a, b in zip(dimension, next_dimension, strict=True))
+    return factor, dimension
 
-    def power(self) -> tuple[float, tuple[float, ...]]:
-        factor, dimension = self.atom()
-        if self.peek() == "^":
-            self.take()
-            try:
-                exponent = float(self.take())
-            except ValueError:
-                raise UnitError(
-                    f"unit '{self.text}': a number must follow '^'", remedy="e.g. 'g/g^2'"
-                ) from None
-            factor, dimension = factor**exponent, tuple(exponent * d for d in dimension)
-        return factor, dimension
 
-    def atom(self) -> tuple[float, tuple[float, ...]]:
-        token = self.take()
-        if token in ("sqrt", "("):
-            if token == "sqrt" and self.take() != "(":
-                raise UnitError(f"unit '{self.text}': 'sqrt' needs parentheses", remedy="e.g. 'rad/sqrt(s)'")
-            factor, dimension = self.expression()
-            if self.take() != ")":
-                raise UnitError(f"unit '{self.text}': a parenthesis is not closed", remedy="e.g. 'rad/sqrt(s)'")
-            if token == "sqrt":
-                return math.sqrt(factor), tuple(d / 2 for d in dimension)
-            return factor, dimension
-        token = _ALIASES.get(token, token)
-        if token not in _ATOMS:
-            raise UnitError(
-                f"unknown unit '{token}' in '{self.text}'" if token else f"unit '{self.text}' is incomplete",
-                remedy=_UNIT_REMEDY,
-            )
-        return _ATOMS[token]
+def _power(tokens: list[str]) -> _Size:
+    """One factor with its ``^power``: a unit, or a product in parentheses, also after ``sqrt``."""
+    root = tokens[0] == "sqrt" and len(tokens) > 1 and tokens[1] == "("
+    if root or tokens[0] == "(":
+        del tokens[: 2 if root else 1]
+        factor, dimension = _product(tokens)
+        del tokens[0]  # the parenthesis at its end
+        if root:
+            factor, dimension = math.sqrt(factor), tuple(d / 2 for d in dimension)
+    else:
+        factor, dimension = _ATOMS[_ALIASES.get(tokens[0], tokens[0])]
+        del tokens[0]
+    if tokens[:1] == ["^"]:
+        exponent = float(tokens[1])
+        del tokens[:2]
+        factor, dimension = factor**exponent, tuple(exponent * d for d in dimension)
+    return factor, dimension
 
 
 @lru_cache(maxsize=512)
@@ -188,15 +166,20 @@ def parse_unit(text: str) -> Unit:
         raise UnitError("a unit is missing", remedy="write the unit, e.g. 'rad/s', or '1' for a plain number")
     if len(stripped) > _MOST_LETTERS:
         raise UnitError(f"unit '{stripped[:40]}...' has {len(stripped)} characters", remedy="e.g. 'rad/s/g'")
-    parser = _UnitParser(stripped)
+    tokens = _tokens(stripped)
     try:
-        factor, dimension = parser.expression()
-    except (ArithmeticError, ValueError):
+        factor, dimension = _product(tokens)
+    except KeyError as error:
+        raise UnitError(f"unknown unit {error} in '{text}'", remedy=_UNIT_REMEDY) from None
+    except (IndexError, ValueError):
+        where = f"'{' '.join(tokens)}'" if tokens else "its end"
+        raise UnitError(f"unit '{text}' cannot be read at {where}", remedy=_UNIT_REMEDY) from None
+    except ArithmeticError:
         factor, dimension = math.nan, _DIMENSIONLESS
     if not (0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
         raise UnitError(f"unit '{text}' is too large or too small to compute with", remedy="e.g. 'rad/s/g'")
-    if parser.at < len(parser.tokens):
-        raise UnitError(f"unit '{text}' cannot be read at '{parser.peek()}'", remedy=_UNIT_REMEDY)
+    if tokens:
+        raise UnitError(f"unit '{text}' cannot be read at '{tokens[0]}'", remedy=_UNIT_REMEDY)
     return Unit(stripped, factor, dimension)
 
 

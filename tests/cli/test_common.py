@@ -20,7 +20,7 @@ from piga.cli.common import progress
 from piga.cli.main import app
 from piga.data import copy_example
 from piga.progress import FIRST_USE
-from tests.cli.runner import ENVIRONMENT, on_terminal
+from tests.cli.runner import on_terminal
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of
 from tests.records.files import lines, write_log, write_run
 
@@ -111,18 +111,6 @@ def test_calibrate_shows_what_it_does_and_what_a_stop_left(tmp_path: Path) -> No
     assert left in " ".join(text.split())
     assert "Traceback" not in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tumble-a.csv", "tumble-a.toml"]
-
-
-def test_nothing_is_shown_without_a_terminal(tmp_path: Path) -> None:
-    run = copy_example(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-m", "piga", "check", str(run)],
-        capture_output=True,
-        text=True,
-        env=ENVIRONMENT,
-        check=True,
-    )
-    assert done.stderr == ""
 
 
 @pytest.mark.long
