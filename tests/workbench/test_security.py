@@ -156,17 +156,15 @@ def test_values_that_no_instrument_has(client: Client) -> None:
 
 def test_forms_that_are_none(client: Client) -> None:
     origin = {"Origin": f"http://127.0.0.1:{client.port}"}
-    for body in (
+    bodies = [
         b"%",
         b"\xff=1",
         b"a" * 100,
         b"do=nonsense",
         b"do=set&key=model.terms&value=__import__('os')",
         b"do=again&index=-1",
-        b"do=leave&from=nan&to=inf&reason=x",
-        b"x=1&" * 3000,
-        b"",
-    ):
+    ]
+    for body in (*bodies, b"do=leave&from=nan&to=inf&reason=x", b"x=1&" * 3000, b""):
         status, _, answer = client.ask("/record/tumble-a.toml", "POST", body, origin)
         assert status == 422, body[:40]
         assert b"Traceback" not in answer
@@ -210,15 +208,15 @@ def test_a_server_at_the_same_address_knows_its_browser_again(tmp_path: Path) ->
     first = entered(tmp_path)
     port, cookie = first.client.port, first.client.cookie
     assert first.end() == (0, "")
-    second = Server(tmp_path, "--port", str(port))
-    second.client.cookie = cookie
-    second.client.page("/")
-    assert second.end() == (0, "")
     (tmp_path / "other").mkdir()
-    third = Server(tmp_path / "other", "--port", str(port))  # another folder at this port does not know it
-    third.client.cookie = cookie
-    third.client.page("/", 403)
-    assert third.end() == (0, "")
+    for folder, status in (
+        (tmp_path, 200),
+        (tmp_path / "other", 403),
+    ):  # another folder at this port does not know it
+        again = Server(folder, "--port", str(port))
+        again.client.cookie = cookie
+        again.client.page("/", status)
+        assert again.end() == (0, "")
 
 
 def test_what_is_no_folder_or_port(tmp_path: Path) -> None:

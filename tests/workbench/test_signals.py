@@ -107,11 +107,9 @@ def test_no_stroke_joins_two_positions(
 
 
 def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: Path) -> None:
-    """By the trapezoidal rule from sample to sample, anew in each stretch, also over the ends of the blocks read at once."""
+    """By the trapezoidal rule from sample to sample, anew in each stretch."""
     run = record(3000, [1000, 2001])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(signals, "CHUNK", 700)
-        write(run, tmp_path / "a-1")
+    write(run, tmp_path / "a-1")
     shown = np.load(tmp_path / "a-1" / "columns.npy")[1]
     value = 0.0
     for index in range(1, run.size):
@@ -134,25 +132,6 @@ def test_moves_at_the_ends_of_positions_are_seen_and_a_turning_stand_is_not_one(
     assert write(Run.from_arrays(t, t, turning, **common, units="SI"), tmp_path / "b-1").moves == ()
     assert outline.left_out[0].name == "door"
     assert (outline.left_out[0].first, outline.left_out[0].last) == (pytest.approx(0.10), pytest.approx(0.20))
-
-
-def test_the_thinned_copy_of_a_long_record_is_a_record(tmp_path: Path) -> None:
-    import piga
-
-    t = 0.01 * np.arange(5000)
-    f = np.column_stack((np.full(5000, 9.8), np.sin(t), np.zeros(5000)))
-    run = Run.from_arrays(
-        t, 0.8884 / 9.80665 * 9.8 * t, f, scale_factor="0.8884 rad/s/g", serial="A", units="SI"
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(signals, "LONG", 4000)
-        patch.setattr(signals, "THINNED", 1000)
-        assert write(run, tmp_path / "a-1").thinned == 5
-    copy = piga.read_run(tmp_path / "a-1" / "thinned.toml")
-    assert copy.size == 1000
-    assert copy.t == pytest.approx(run.t[::5])
-    assert copy.f == pytest.approx(run.f[::5])
-    assert copy.scale_factor == pytest.approx(run.scale_factor, rel=1e-15)
 
 
 @pytest.mark.parametrize(

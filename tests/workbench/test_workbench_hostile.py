@@ -72,7 +72,9 @@ def test_half_requests_keep_nobody_out(client: Client, server: Server) -> None:
     assert "tumble-a" in client.page("/record/tumble-a.toml")
 
 
-SMALL = "from piga.workbench.pages import record; record.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"
+SMALL = (
+    "from piga.workbench import record; record.MOST_UPLOAD = 4 << 20; from piga.cli.main import main; main()"
+)
 
 
 @pytest.mark.long
@@ -168,21 +170,11 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
         client.until("/record/tumble-a.toml", lambda text: "data-drawn" in text)
         kept = "tumble-a-calibration"
         pages = [
-            "/jobs",
-            "/record/tumble-a.toml",
-            "/log/open.csv",
-            "/text?file=certificate.toml",
-        ]
-        pages += [
-            f"/kept/{kept}",
-            f"/certificate?of={kept}",
-            f"/compare?of={kept}&of={kept}-v1",
-            "/plan",
-        ]
-        pages += [
-            f"/{page}{quote(EVIL)}"
-            for page in ("explore?a_x=", "text?file=", "jobs/", "record/", "log/", "kept/")
-        ]
+            "/jobs", "/record/tumble-a.toml", "/log/open.csv", "/text?file=certificate.toml", f"/kept/{kept}",
+            f"/certificate?of={kept}", f"/compare?of={kept}&of={kept}-v1", "/plan",
+        ]  # fmt: skip
+        given = ("explore?a_x=", "text?file=", "jobs/", "record/", "log/", "kept/")
+        pages += [f"/{page}{quote(EVIL)}" for page in given]
         for page in pages:
             status, _, body = client.ask(page)
             assert status in (200, 404, 422), (page, status)
@@ -223,24 +215,11 @@ def test_a_strangers_folder_neither_hangs_nor_is_left(tmp_path: Path) -> None:
     running = entered(lab)
     try:
         pages = [
-            "/",
-            "/record/tumble-a.toml",
-            f"/record/{quote(chinese)}.toml",
-            "/log/huge.csv",
-            "/log/pipe.csv",
-            "/text?file=huge.toml",
-        ]
-        pages += [
-            "/kept/pipe-calibration",
-            "/kept/large-calibration",
-            "/kept/tumble-a-calibration",
-            "/text?file=link.toml",
-        ]
-        pages += [
-            "/file/tumble-a-calibration/calibration.json",
-            "/certificate",
-            "/certificate?of=pipe-calibration",
-        ]
+            "/", "/record/tumble-a.toml", f"/record/{quote(chinese)}.toml", "/log/huge.csv", "/log/pipe.csv",
+            "/text?file=huge.toml", "/kept/pipe-calibration", "/kept/large-calibration", "/kept/tumble-a-calibration",
+            "/text?file=link.toml", "/certificate",
+            "/file/tumble-a-calibration/calibration.json", "/certificate?of=pipe-calibration",
+        ]  # fmt: skip
         for page in pages:
             started = time.monotonic()
             status, _, body = running.client.ask(page)
@@ -262,7 +241,7 @@ def test_results_are_not_written_through_a_link_that_leads_out(tmp_path: Path) -
     outside.mkdir()
     lab.mkdir()
     shipped_record(lab)
-    for name in ("certificate-7", "plan-tumble-a-1.toml"):
+    for name in ("certificate-7", "plan-tumble-a"):
         (lab / name).symlink_to(outside)
     (lab / "tumble-a-calibration").mkdir()
     calibration(serial="tumble-a", with_residuals=False).to_json(

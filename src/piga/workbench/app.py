@@ -18,9 +18,9 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from piga.errors import ArgumentError, PigaError
+from piga.workbench import common, describe, later, record
+from piga.workbench.common import Bench, error_page
 from piga.workbench.folder import Folder
-from piga.workbench.pages import common, describe, later, record
-from piga.workbench.pages.common import Bench, error_page
 from piga.workbench.security import LOOPBACK, Door, Guard, write_private
 
 ROUTES = [route for page in (common, describe, record, later) for route in page.ROUTES]

@@ -43,7 +43,7 @@ _MOST_TOML = 1 << 20
 _MOST_RESULT = 200 << 20
 """Largest result file [bytes] that is read."""
 _LONGEST_NAME = 100
-"""Most bytes of the name of a dropped file. The names of its results are longer; a file system takes 255."""
+"""Most bytes of the stem of a new file. The names of its results are longer; a file system takes 255."""
 CALIBRATION = "calibration.json"
 _VERSION = re.compile(r"(.+?)(?:-v(\d{1,6}))?", re.DOTALL)
 """Folder of a kept calibration, and the number of an older version."""
@@ -55,42 +55,27 @@ _MOST_STEPS, _MOST_TEXTS = 100, 300
 class OutsideError(ArgumentError):
     """A path that may not be used."""
 
+    status_code = 404
+
 
 @dataclass(frozen=True)
 class Kept:
-    """A calibration of the folder: its folder, and K with its standard uncertainty and nominal value in ``unit``."""
+    """A calibration of the folder ``name``: when it was made, and K with its standard uncertainty ``u`` in ``unit``.
+
+    ``ppm`` and ``u_ppm`` are the difference of K from its nominal value and its standard uncertainty, in parts of that. ``record``
+    is the folder of the newest calibration of the same record; ``version`` is 0 for it, and counts down for older ones.
+    """
 
     name: str
     calibration: Calibration
+    created: str
     K: float
     u: float
     unit: str
-    nominal: float
-
-    @property
-    def created(self) -> str:
-        """When it was made, to the second."""
-        return self.calibration.provenance.created[:19]
-
-    @property
-    def record(self) -> str:
-        """Folder of the newest calibration of the same record."""
-        return _VERSION.fullmatch(self.name)[1]  # type: ignore[index]
-
-    @property
-    def version(self) -> int:
-        """0 for the newest of a record; older ones count down."""
-        return -int(_VERSION.fullmatch(self.name)[2] or 0)  # type: ignore[index]
-
-    @property
-    def ppm(self) -> float:
-        """Difference of K from the nominal value [ppm]."""
-        return 1e6 * (self.K / self.nominal - 1.0)
-
-    @property
-    def u_ppm(self) -> float:
-        """Standard uncertainty of K, as a part of the nominal value [ppm]."""
-        return 1e6 * self.u / self.nominal
+    ppm: float
+    u_ppm: float
+    record: str
+    version: int
 
 
 @dataclass(frozen=True)
@@ -227,29 +212,25 @@ class Folder:
         files = [path for path in files if path.parent not in results]
         kept = [one for one in map(self.kept, sorted(results)) if one is not None]
         kept.sort(key=lambda one: (one.version != 0, one.version))
-        entries, described = [], set()
+        entries, described = list[Entry](), set[Path]()
         for path in (path for path in files if path.suffix == ".toml"):
             entry: Entry | None = self._once(self._described, path)
             if entry is None:
                 continue
-            data = path.parent / entry.log
+            data, place = path.parent / entry.log, self.name(results_of(path))
             described.add(data)
-            place = self.name(results_of(path))
-            mine = tuple(one for one in kept if one.record == place)
-            is_there = bool(entry.log) and _is_regular(data)
-            if is_there:
-                status = data.stat()
-                entry = replace(entry, size=status.st_size, changed=status.st_mtime)
-            if entry.state == "ready" and not is_there:
+            entry = replace(entry, kept=tuple(one for one in kept if one.record == place))
+            if entry.log and _is_regular(data):
+                entry = _measured(entry, data)
+                state = "kept" if entry.kept and entry.state == "ready" else entry.state
+                entry = replace(entry, state=state)
+            elif entry.state == "ready":
                 words = f"{entry.log}: there is no such file beside the run file\n  remedy: copy it there"
                 entry = replace(entry, state="faulty", message=words)
-            state = "kept" if mine and entry.state == "ready" else entry.state
-            entry = replace(entry, state=state, kept=mine)
             entries.append(entry)
         for path in files:
             if file_kind(path) in _LOG_SUFFIXES and path not in described:
-                status = path.stat()
-                entries.append(Entry(self.name(path), "log", "", path.name, status.st_size, status.st_mtime))
+                entries.append(_measured(Entry(self.name(path), "log", log=path.name), path))
         return sorted(entries, key=lambda entry: (-entry.changed, entry.name))
 
     def _described(self, path: Path) -> Entry | None:
@@ -262,8 +243,7 @@ class Folder:
                 return None
             log = str(data.get("file", "")) if isinstance(data, dict) else ""
             entry = replace(entry, log=log if len(log) < MAX_NAME and "\0" not in log else "")
-            run_file = read_run_file(path, raw)
-            entry = replace(entry, serial=run_file.instrument.serial)
+            entry = replace(entry, serial=read_run_file(path, raw).instrument.serial)
             self.toml(entry.name)
         except PigaError as error:
             return replace(entry, state="faulty", message=str(error))
@@ -286,14 +266,16 @@ class Folder:
             made = calibration_from_bytes(self.read(path), path)
         except PigaError:
             return None
-        nominal = made.scale_factor_nominal * G0
-        named = {one.name: one for one in made.coefficients}
-        K, k1, name = named.get("scale_factor"), named.get("k1"), self.name(path.parent)
-        if K is not None and nominal:
-            return Kept(name, made, K.value, K.std, K.unit, nominal)
-        if k1 is not None and nominal:  # the relative term in its place
-            return Kept(name, made, nominal * (1.0 + k1.value), nominal * k1.std, f"{made.unit}/g", nominal)
-        return None
+        named, nominal = {one.name: one for one in made.coefficients}, made.scale_factor_nominal * G0
+        one = named.get("scale_factor") or named.get("k1")
+        if one is None or not nominal:
+            return None
+        size, unit = (1.0, one.unit) if one.name == "scale_factor" else (nominal, f"{made.unit}/g")
+        K, u = size * (one.value + (one.name == "k1")), size * one.std  # k1 is relative
+        name = self.name(path.parent)
+        record, number = _VERSION.fullmatch(name).groups()  # type: ignore[union-attr]
+        ppm, u_ppm = 1e6 * (K / nominal - 1.0), 1e6 * u / nominal
+        return Kept(name, made, made.provenance.created[:19], K, u, unit, ppm, u_ppm, record, -int(number or 0))
 
     def _once(self, read: Callable[[Path], Any], path: Path) -> Any:
         """What was read from a file, read again only if the file has changed."""
@@ -305,18 +287,20 @@ class Folder:
             self._seen[path] = (state, read(path))
         return self._seen[path][1]
 
-    def free_name(self, wanted: str) -> Path:
-        """A path in the folder for an uploaded file: the letters and digits of its name, and no existing file's."""
+    def free(self, place: Path, stem: str, kind: str) -> Path:
+        """The path of a new file in the folder ``place``: the stem, with a number behind it if there is such a file already."""
+        stem = stem.encode()[:_LONGEST_NAME].decode("utf-8", "ignore")
+        paths = (place / f"{stem}{number}{kind}" for number in ("", *(f"-{one}" for one in range(2, 10000))))
+        return self._checked(next(path for path in paths if not os.path.lexists(path)))
+
+    def free_for(self, wanted: str) -> Path:
+        """A path for an uploaded file: the letters and digits of its name."""
         plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
         kind = file_kind(Path(plain or "x"))
         if kind not in (*_LOG_SUFFIXES, ".toml"):
             words = f"{wanted[:200]!r}: files of this kind are not accepted"
             raise OutsideError(words, remedy=f"use one of these kinds: {', '.join(_LOG_SUFFIXES)}")
-        stem = plain[: -len(kind)].encode()[:_LONGEST_NAME].decode("utf-8", "ignore") or "log"
-        path = self.root / f"{stem}{kind}"
-        while os.path.lexists(path):
-            path = self.root / f"{stem}-{secrets.token_hex(2)}{kind}"
-        return path
+        return self.free(self.root, plain[: -len(kind)] or "log", kind)
 
 
 def results_of(run: Path) -> Path:
@@ -331,6 +315,11 @@ def _is_plain(name: str) -> bool:
     return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
 
 
+def _measured(entry: Entry, data: Path) -> Entry:
+    status = data.stat()
+    return replace(entry, size=status.st_size, changed=status.st_mtime)
+
+
 def _is_regular(path: Path) -> bool:
     with suppress(OSError):
         return stat.S_ISREG(os.lstat(path).st_mode)
@@ -339,6 +328,8 @@ def _is_regular(path: Path) -> bool:
 
 class ChangedError(ArgumentError):
     """A file is no longer what the page had seen."""
+
+    status_code = 409
 
     def __init__(self, name: str, lines: list[str]) -> None:
         super().__init__(f"{name} was changed meanwhile, by another tab or program", remedy="see what changed")
@@ -382,7 +373,7 @@ class History:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
             words, path, former = self._changes.pop()
             if (
-                former is None or not former.is_file()
+                former is None or former.is_dir()
             ):  # a file is replaced at once: a page may ask for it at any time
                 self.put_away(path)
             if former is not None:

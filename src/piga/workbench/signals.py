@@ -2,8 +2,7 @@
 
 A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with the
 extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. A gap of the record is
-a gap of the line: no block and no pixel holds samples of two stretches. Of a long record a thinned copy is written, too, for
-a first answer.
+a gap of the line: no block and no pixel holds samples of two stretches.
 """
 
 from __future__ import annotations
@@ -22,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
-from piga.formats.columns import data_table
 from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile
-from piga.records.text_files import toml_text
-from piga.results import Array, arrow_table
+from piga.results import Array
 from piga.units import G0, offset_to_si, parse_unit
 
 BLOCK = 256
@@ -38,11 +35,8 @@ _MOST_STRETCHES = 20_000
 """Longest breaks that are drawn as gaps. More of them would not be seen."""
 _MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
-LONG, THINNED = 1_000_000, 50_000
-"""Samples of a record of which a thinned copy is made, and about the samples of the copy."""
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
-CHUNK = 1 << 20
 FORM = 9
 """Version of the cache's files."""
 
@@ -72,7 +66,6 @@ class Outline(msgspec.Struct, frozen=True):
 
     ``moves`` are rows at the ends of positions in which the stand still moves. ``findings`` are those of the check, with the
     time [s] of their first row. ``phase_kept`` is False if the counter may have folded unseen between positions.
-    ``thinned``: every so many samples are in the thinned copy; 1 if there is none.
     """
 
     signals: tuple[Signal, ...]
@@ -85,7 +78,6 @@ class Outline(msgspec.Struct, frozen=True):
     moves: tuple[Span, ...]
     findings: tuple[tuple[Event, float | None], ...]
     phase_kept: bool
-    thinned: int = 1
 
 
 _OUTLINE = msgspec.json.Decoder(Outline)
@@ -139,15 +131,11 @@ def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
     shape = (len(signals), run.size)
     columns = np.lib.format.open_memmap(folder / "columns.npy", mode="w+", dtype=np.float64, shape=shape)
     for column, (_, values) in zip(columns, signals, strict=True):
-        if values is None:
-            _write_difference(run, t, column)
-        else:
-            column[:] = values
+        column[:] = _difference(run, t) if values is None else values
     extremes = _extremes(columns, columns, blocks)
     for name, array in (("breaks", breaks), ("blocks", blocks), ("row", run.row), ("extremes", extremes)):
         np.save(folder / f"{name}.npy", array)
-    thinned = _write_thinned(run, run_file, folder) if run.size > LONG else 1
-    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals), thinned)
+    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals))
     (folder / "outline.json").write_bytes(msgspec.json.encode(outline))
     return outline
 
@@ -171,31 +159,12 @@ def _write_time(run: Run, path: Path) -> Array:
     return t
 
 
-def _write_difference(run: Run, t: Array, column: Array) -> None:
+def _difference(run: Run, t: Array) -> Array:
     """The output angle minus what the nominal scale factor makes of a_x; it begins at zero in each stretch."""
-    carried = 0.0
-    for begin in range(0, run.size, CHUNK):
-        part, before = slice(begin, begin + CHUNK), slice(max(begin - 1, 0), begin + CHUNK)
-        force, step = run.f[before, 0], np.diff(t[before])
-        step = np.diff(run.output[before]) - 0.5 * run.scale_factor * (force[1:] + force[:-1]) * step
-        total = carried + np.cumsum(step if begin else np.append(0.0, step))
-        last = np.maximum.accumulate(np.where(run.begins[part], np.arange(total.size), -1))
-        column[part] = total - np.where(last < 0, 0.0, total[last])
-        carried = float(column[part][-1])
-
-
-def _write_thinned(run: Run, run_file: RunFile, folder: Path) -> int:
-    """A thinned copy of a long record, in SI, with a run file of its own: for a first answer."""
-    from pyarrow.parquet import write_table
-
-    every = max(run.size // THINNED, 1)
-    write_table(arrow_table(run.table_columns(slice(None, None, every)), {}), folder / "thinned.parquet")
-    instrument = {"serial": run.serial, "scale_factor": f"{run.scale_factor * G0!r} {run.unit}/g"}
-    instrument |= {"kind": "direct"} if run.direct else {}
-    model = {"terms": list(run_file.model.terms), "phases": run_file.model.phases}
-    text = toml_text({"instrument": instrument, "model": model}) + data_table(run, "thinned.parquet")
-    (folder / "thinned.toml").write_text(text, encoding="utf-8")
-    return every
+    force = run.scale_factor * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
+    total = np.append(0.0, np.cumsum(np.diff(run.output) - force * np.diff(t)))
+    begin = np.maximum.accumulate(np.where(run.begins, np.arange(run.size), 0))
+    return total - total[begin]
 
 
 def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
@@ -222,7 +191,7 @@ def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
     return signals
 
 
-def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...], thinned: int) -> Outline:
+def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...]) -> Outline:
     def at(row: int) -> float:
         return float(t[min(int(np.searchsorted(run.row, row)), run.size - 1)])
 
@@ -244,7 +213,6 @@ def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...],
         moves=tuple(span(piece[0], *ends) for piece in pieces for ends in _moves(run, *piece[1:])),
         findings=tuple((one, None if one.first_row is None else at(one.first_row)) for one in findings),
         phase_kept=len(set(run.phase_group)) == 1 or run_file.model.phases == "per-segment",
-        thinned=thinned,
     )
 
 

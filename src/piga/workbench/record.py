@@ -27,9 +27,7 @@ from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
 from piga.records.text_files import files_named_in, toml_value
 from piga.reports.render.numbers import rounded
-from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
-from piga.workbench.jobs import FIT, Job
-from piga.workbench.pages.common import (
+from piga.workbench.common import (
     Bench,
     Sent,
     bench_of,
@@ -37,6 +35,8 @@ from piga.workbench.pages.common import (
     redirect,
     render,
 )
+from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
+from piga.workbench.jobs import FIT, Job
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
 MOST_UPLOAD = 4 << 30
@@ -47,7 +47,6 @@ _TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
 _MOST_TAGS, _MOST_ROWS = 2000, 60
 """Records that have tags, and coefficients that the answer shows."""
-_ENDED = ("failed", "stopped")
 
 
 def _tags_of(bench: Bench) -> dict[str, list[str]]:
@@ -104,7 +103,7 @@ def _try_shipped(request: Request) -> Response:
 async def _take(request: Request) -> Response:
     """A file that was dropped in. Its bytes are the body; its name is in the address."""
     folder = bench_of(request).folder
-    target = folder.free_name(request.query_params.get("name", ""))
+    target = folder.free_for(request.query_params.get("name", ""))
     part = folder.state_room("parts") / secrets.token_hex(8)
     try:
         with part.open("xb") as stream:
@@ -142,28 +141,18 @@ def _show(request: Request) -> Response:
     entry = bench.folder.entry(name)
     if entry.state == "log":
         return redirect(f"/log/{quote(name)}")
-    values: dict[str, Any] = {
-        "entry": entry,
-        "query": request.url.query,
-        "outline": None,
-        "job": None,
-        "right": {},
-    }
-    values |= {"message": "", "seen": "", "repairs": []}
+    values: dict[str, Any] = {"entry": entry, "query": request.url.query, "message": entry.message, "seen": ""}
+    outline, job = (None, None) if entry.state == "faulty" else _reading(bench, name)
+    values |= {"outline": outline, "job": job, "right": {}, "repairs": []}
     with contextlib.suppress(PigaError):
         values["seen"] = bench.history.seen(bench.folder.text(name))
-    if entry.state == "faulty":
-        values["message"] = entry.message
-    else:
-        values["outline"], job = _reading(bench, name)
-        if job is not None and job.state in _ENDED:
-            values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
-        values["job"] = job
+    if job is not None and job.state in ("failed", "stopped"):
+        values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
     if values["message"]:
         values["repairs"] = _repairs(bench, entry)
-    if (outline := values["outline"]) is not None:
+    if outline is not None:
         values["drawn"] = msgspec.json.encode(outline).decode()
-        values["right"] = _answer(bench, name, outline, request.query_params.getlist("term"))
+        values["right"] = _answer(bench, name, request.query_params.getlist("term"))
     return render(request, "record.html.jinja", **left(bench, name), **values)
 
 
@@ -216,12 +205,26 @@ def _change(request: Request, sent: Sent) -> Response:
     from tomlkit.exceptions import TOMLKitError
 
     bench, name, do = bench_of(request), request.path_params["name"], sent.get("do", "")
-    changes = {"set": _set, "again": _use_again, "leave": _leave_out, "moves": _leave_out}
-    if do not in changes:
-        raise ArgumentError(f"{do[:40]!r}: is not a command of this page", remedy="use its buttons")
     try:
-        document = tomlkit.parse(bench.folder.text(name))
-        words = changes[do](bench, name, document, sent)
+        document: Any = tomlkit.parse(bench.folder.text(name))
+        if do == "set":
+            place, _, key = sent["key"].partition(".")
+            document.setdefault(place, {})[key] = tomlkit.value(sent["value"])
+            words = f"set {key} = {sent['value']}"
+        elif do == "again":
+            entries, index = document.get("data", {}).get("leave_out", []), sent["index"]
+            if not index.isdigit() or int(index) >= len(entries):
+                raise ArgumentError("these rows are used already", remedy="reload the page")
+            words = f"use again: {entries.pop(int(index))['reason']}"
+        elif do in ("leave", "moves"):
+            spans, reason = _spans(bench, name, sent)
+            entries = document["data"].setdefault("leave_out", tomlkit.array())
+            for rows in spans:
+                entries.append(tomlkit.value(toml_value({"rows": list(rows), "reason": reason})))
+            entries.multiline(multiline=True)
+            words = f"leave out {len(spans)} span{'s' * (len(spans) > 1)}: {reason}"
+        else:
+            raise ArgumentError(f"{do[:40]!r}: is not a command of this page", remedy="use its buttons")
         text = tomlkit.dumps(document)
     except PigaError:
         raise
@@ -231,106 +234,68 @@ def _change(request: Request, sent: Sent) -> Response:
     return _back(request, f"/record/{quote(name)}")
 
 
-def _set(_bench: Bench, _name: str, document: Any, sent: Sent) -> str:
-    import tomlkit
-
-    place, _, key = sent["key"].partition(".")
-    document.setdefault(place, {})[key] = tomlkit.value(sent["value"])
-    return f"set {key} = {sent['value']}"
-
-
-def _use_again(_bench: Bench, _name: str, document: Any, sent: Sent) -> str:
-    entries, index = document.get("data", {}).get("leave_out", []), sent["index"]
-    if not index.isdigit() or int(index) >= len(entries):
-        raise ArgumentError("these rows are used already", remedy="reload the page")
-    reason = entries[int(index)]["reason"]
-    del entries[int(index)]
-    return f"use again: {reason}"
-
-
-def _leave_out(bench: Bench, name: str, document: Any, sent: Sent) -> str:
-    import tomlkit
-
+def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], str]:
+    """The rows that are left out, and why: those of a marked span, or in which the stand moves."""
     cache = _cache_of(bench, name)
     outline = read_outline(cache)
     if outline is None:
         raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
     if sent["do"] == "moves":
-        spans, reason = [one.rows for one in outline.moves], "the stand moves"
-    else:
-        try:
-            first, last = (float(sent[end].replace(",", ".")) for end in ("from", "to"))
-        except ValueError:
-            raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
-        reason = " ".join(sent.get("reason", "").split())
-        if not reason:
-            raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-        spans = [rows_between(cache, first, last)]
-    if sum(last - first + 1 for first, last in spans) >= outline.rows:
+        return [one.rows for one in outline.moves], "the stand moves"
+    try:
+        first, last = (float(sent[end].replace(",", ".")) for end in ("from", "to"))
+    except ValueError:
+        raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
+    reason = " ".join(sent.get("reason", "").split())
+    if not reason:
+        raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
+    rows = rows_between(cache, first, last)
+    if rows[1] - rows[0] + 1 >= outline.rows:
         raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
-    entries = document["data"].setdefault("leave_out", tomlkit.array())
-    for rows in spans:
-        entries.append(tomlkit.value(toml_value({"rows": list(rows), "reason": reason})))
-    entries.multiline(multiline=True)
-    return f"leave out {len(spans)} spans: {reason}" if len(spans) > 1 else f"leave out: {reason}"
+    return [rows], reason
 
 
-def _trial(bench: Bench, key: str) -> Path:
-    """Folder of an answer that is not kept."""
-    return bench.folder.root / TRIALS / key
+def _trial(bench: Bench, key: str) -> Kept | None:
+    """An answer that is not kept."""
+    return bench.folder.kept(bench.folder.root / TRIALS / key)
 
 
-def _answer(bench: Bench, name: str, outline: Outline, ticked: list[str]) -> dict[str, Any]:
+def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
     """The answer for a choice of terms, or the job that computes it, or why there is none."""
     run_file = read_run_file(bench.folder.toml(name))
     usual = run_file.model.terms
     always = "k1" if "k1" in usual else "scale_factor"
     terms = tuple(dict.fromkeys((always, *ticked))) if ticked else usual
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
-    terms_shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
-    values: dict[str, Any] = {"answer": None, "every": 1, "fit": None, "former": None}
-    values |= {"message": ""}
-    values |= {"terms": terms_shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual)}
+    shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
+    values: dict[str, Any] = {
+        "answer": None,
+        "fit": None,
+        "former": None,
+        "message": "",
+        "terms": shown,
+        "always": always,
+    }
+    values |= {"chosen": terms, "usual": set(terms) == set(usual)}
     try:
         check_terms(terms, output=run_file.unit)
-        state = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
-        key = hashlib.sha256(state.encode()).hexdigest()[:16]
-        answer, every, fit = _fitted(bench, name, key, terms, outline)
+        asked = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
+        key = hashlib.sha256(asked.encode()).hexdigest()[:16]
+        fit = bench.jobs.latest(name, f"{TRIALS}{key}")
+        state = "" if fit is None else fit.state
+        answer = _trial(bench, key) if state in ("", "done") else None
+        if answer is None and fit is None:
+            command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
+            fit = bench.jobs.start(command, FIT, name, f"{TRIALS}{key}")
     except PigaError as error:
         return values | {"message": str(error)}
-    if fit is not None and fit.state in _ENDED:
-        values["message"] = fit.text("err") or "The fit was stopped."
     last = bench.answers.get(name, [])
-    if answer is not None and every == 1 and key not in last[:1]:
-        bench.answers[name] = last = [key, *last][:2]
-    former = next((bench.folder.kept(_trial(bench, one)) for one in last if one != key), None)
+    former = next((kept for one in last if one != key and (kept := _trial(bench, one))), None)
     if answer is None:
-        return values | {"fit": fit, "former": former}
-    return values | {"answer": answer, "every": every, "fit": fit, "key": key, "rows": _rows(answer, former)}
-
-
-def _fitted(
-    bench: Bench, name: str, key: str, terms: tuple[str, ...], outline: Outline
-) -> tuple[Kept | None, int, Job | None]:
-    """The best answer so far, from each how many samples, and the job of a better one."""
-    job = bench.jobs.latest(name, f"{TRIALS}{key}")
-    answer = bench.folder.kept(_trial(bench, key)) if job is None or job.state == "done" else None
-    if answer is not None:
-        return answer, 1, None
-    early = None
-    if outline.thinned > 1:  # the thinned record alone first: both at once would take longer
-        run = bench.folder.name(_cache_of(bench, name) / "thinned.toml")
-        first = _fit(bench, name, run, f"{key}-first", terms, "--no-report")
-        if first.state in ("running", "stopped"):
-            return None, 1, first
-        early = bench.folder.kept(_trial(bench, f"{key}-first"))
-    return early, outline.thinned, _fit(bench, name, name, key, terms)
-
-
-def _fit(bench: Bench, name: str, run: str, key: str, terms: tuple[str, ...], *options: str) -> Job:
-    place = f"{TRIALS}{key}"
-    command = ("calibrate", run, "--terms", ",".join(terms), "--out", place, *options)
-    return bench.jobs.latest(name, place) or bench.jobs.start(command, FIT, name, place)
+        message = (fit.text("err") or "The fit was stopped.") if fit and state not in ("", "running") else ""
+        return values | {"fit": fit, "former": former, "message": message}
+    bench.answers[name] = [key, *(one for one in last if one != key)][:2]
+    return values | {"answer": answer, "key": key, "rows": _rows(answer, former)}
 
 
 def _rows(answer: Kept, former: Kept | None) -> list[dict[str, Any]]:
@@ -352,7 +317,7 @@ def _in_words(kept: Kept) -> str:
 def _keep(request: Request, sent: Sent) -> Response:
     """Keep an answer: its files go where the command writes them. An older result becomes a version of its own."""
     bench, name, key = bench_of(request), request.path_params["name"], sent.get("key", "")
-    answer = bench.folder.kept(_trial(bench, key)) if key in bench.answers.get(name, ()) else None
+    answer = _trial(bench, key) if key in bench.answers.get(name, ()) else None
     if answer is None:
         raise CalibrationError("this answer is not there any more", remedy="reload the page")
     verdict = answer.calibration.verdict
@@ -370,7 +335,7 @@ def _keep(request: Request, sent: Sent) -> Response:
                 older = target.with_name(f"{target.name}-v{number}")
                 former = target.rename(bench.folder.path(bench.folder.name(older)))
             part = bench.folder.state_room("parts") / key
-            shutil.copytree(_trial(bench, key), part, dirs_exist_ok=True)
+            shutil.copytree(bench.folder.root / TRIALS / key, part, dirs_exist_ok=True)
             part.rename(target)
             bench.history.note(f"keep {_in_words(answer)}", target, former)
     return _back(request, f"/record/{quote(name)}")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -21,9 +20,9 @@ from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
 from piga.records.text_files import toml_document
 from piga.reports.render.numbers import significant
+from piga.workbench.common import Field, Sent, bench_of, form, in_line, redirect, render
 from piga.workbench.folder import Folder
-from piga.workbench.pages.common import Field, Sent, bench_of, form, in_line, redirect, render
-from piga.workbench.pages.record import left
+from piga.workbench.record import left
 
 _ROWS = 6
 """Rows of the preview."""
@@ -166,7 +165,7 @@ def _page(request: Request, sent: Sent) -> Response:
     try:
         made = sheet(bench.folder, name, sent)
         if sent.get("do") == "write" and made.complete:
-            target = _free(bench.folder, log)
+            target = bench.folder.free(log.parent, log.name.partition(".")[0] or "run", ".toml")
             try_run_file(made.draft, target)
             bench.history.write(bench.folder.name(target), "", made.draft.text(), f"describe {log.name}")
             return redirect(f"/record/{quote(bench.folder.name(target))}")
@@ -182,14 +181,6 @@ def _page(request: Request, sent: Sent) -> Response:
             "notes": [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],
         }  # fmt: skip
     return render(request, "log.html.jinja", code, **values)
-
-
-def _free(folder: Folder, log: Path) -> Path:
-    """A free name for the run file of a log."""
-    stem = log.name.split(".")[0].encode()[:100].decode("utf-8", "ignore") or "run"
-    names = (f"{stem}{number}.toml" for number in ("", *(f"-{one}" for one in range(2, 1000))))
-    paths = (folder.path(folder.name(log.with_name(name))) for name in names)
-    return next(path for path in paths if not path.exists())
 
 
 ROUTES = form("/log/{name:path}", _page)

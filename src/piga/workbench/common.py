@@ -23,17 +23,12 @@ from piga.errors import ArgumentError, PigaError, UnitError
 from piga.records.terms import shown_output
 from piga.reports.render.numbers import count, pretty_unit, rounded, significant
 from piga.units import to_si
-from piga.workbench.folder import TRIALS, ChangedError, Folder, History, OutsideError
+from piga.workbench.folder import TRIALS, Folder, History
 from piga.workbench.jobs import Jobs
 from piga.workbench.security import REPORT_POLICY
 
 _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
 """Largest form [bytes], and most of its fields."""
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)(e[-+]?\d+)?", re.IGNORECASE)
-
-
-_STATUSES: dict[type[Exception], int] = {OutsideError: 404, ChangedError: 409}
-"""Status of the answer by kind of error; that of all other errors of a user is 422."""
 
 
 class Bench:
@@ -92,7 +87,7 @@ def redirect(to: str) -> Response:
 def start(request: Request, command: Sequence[str], title: str, subject: str, result: str = "") -> Response:
     """Start a job and go to its page."""
     bench = bench_of(request)
-    if result:
+    if result and not result.startswith(TRIALS):
         bench.folder.path(result)  # nothing is written through a link
     return redirect(f"/jobs/{bench.jobs.start(command, title, subject, result).key}")
 
@@ -110,18 +105,16 @@ def _file(request: Request) -> Response:
 
 def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy. What a page typed is in the browser's Back."""
-    status = next((code for kind, code in _STATUSES.items() if isinstance(error, kind)), 422)
+    status = getattr(error, "status_code", 422)
     text, _, remedy = str(error).partition("\n  remedy: ")
     if isinstance(error, HTTPException):
-        status = error.status_code
         text = {404: "There is no such page.", 405: "This page does not take that."}.get(status, error.detail)
     elif isinstance(error, OSError):
         text = f"{error.filename or 'a file'}: {error.strerror or error}"
     elif not isinstance(error, PigaError):
         status, text = 500, "This is an error of the bench. The terminal of piga ui shows more."
-    changed = error.lines if isinstance(error, ChangedError) else []
-    again = request.headers.get("referer", "/")
-    page = render(request, "error.html.jinja", status, text=text, remedy=remedy, changed=changed, again=again)
+    values = {"text": text, "remedy": remedy, "changed": getattr(error, "lines", [])}
+    page = render(request, "error.html.jinja", status, again=request.headers.get("referer", "/"), **values)
     page.headers.update(
         {"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"}
     )  # of a part, too
@@ -207,19 +200,17 @@ class Field:
 def quantity(written: str, unit: str, like: str, what: str) -> str:
     """A typed number with the unit of its menu, as a run file has it. A decimal comma is accepted."""
     text = written.strip().replace("\u2212", "-")
-    number = re.match(r"[-+\d.,]+(?:[eE][-+]?\d+)?", text)
-    if number is None:
-        raise UnitError(f"{text[:40]!r} does not begin with a number", remedy=f"e.g. 1 {like}")
-    head, rest = number[0], text[number.end() :].strip()
-    if not _NUMBER.fullmatch(head):
-        raise UnitError(f"{head[:40]!r} is not one number", remedy="write no separators between thousands")
-    if not rest and not unit and like != "1":
-        raise UnitError("the unit is missing", remedy="choose it in the menu, or write it behind the number")
-    if rest and unit and rest != unit:
-        raise UnitError(f"the number has the unit {rest[:20]!r}, the menu says {unit!r}", remedy="choose one")
-    value = f"{head.replace(',', '.')} {rest or unit}".strip()
-    to_si(value, like, what=what)
-    return value
+    text = text if "." in text else text.replace(",", ".", 1)
+    if re.fullmatch(r"[-+.,\deE]+", text):
+        if not unit and like != "1":
+            raise UnitError(
+                "the unit is missing", remedy="choose it in the menu, or write it behind the number"
+            )
+        text = f"{text} {unit}".strip()
+    elif not text.endswith(unit):
+        raise UnitError(f"{text[:40]!r}, but the menu says {unit!r}", remedy="choose one")
+    to_si(text, like, what=what)
+    return text
 
 
 def _health(_request: Request) -> Response:

@@ -1,71 +1,19 @@
-"""The answer: the thinned copy first, two pages with other terms, and what must not be kept."""
+"""The answer: two pages with other terms, and what must not be kept."""
 
 from __future__ import annotations
 
 import re
-import shutil
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-import piga
-from piga.records.run_file import read_run_file
 from piga.workbench import jobs as room
-from piga.workbench import signals
-from piga.workbench.folder import Folder
 from piga.workbench.jobs import Jobs
-from piga.workbench.pages.common import Bench
-from piga.workbench.pages.record import _cache_of, _fitted
-from tests.workbench.conftest import Client, shipped_record, wait_until
+from tests.workbench.conftest import Client, shipped_record
 
 NAME, TERMS = "tumble-a.toml", ("scale_factor", "tan_beta", "k0")
 pytestmark = pytest.mark.long
-
-
-def test_the_thinned_copy_is_answered_first_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signals, "LONG", 1000)
-    run = shipped_record(tmp_path)
-    bench = Bench(Folder(tmp_path))
-    jobs = bench.jobs
-    cache = _cache_of(bench, NAME)
-    monkeypatch.setattr(signals, "THINNED", 5000)
-    outline = signals.write_envelopes(piga.read_run(run), read_run_file(run), cache)
-    assert outline.thinned == 5
-
-    def asked() -> Any:
-        return _fitted(bench, NAME, "key", TERMS, outline)
-
-    def ended(job: Any) -> bool:
-        return job.state != "running"
-
-    try:
-        _, _, job = asked()
-        assert job.command[1].endswith("thinned.toml")
-        jobs.stop(job)
-        assert asked()[2] == job  # what was stopped is not followed by the longer fit
-        jobs.forget(job)
-        _, _, job = asked()
-        wait_until(lambda: ended(job))
-        thinned, every, whole = asked()
-        assert every == 5
-        assert thinned.calibration["scale_factor"].std > 0.0
-        assert whole.command[1] == NAME
-        wait_until(lambda: ended(whole))
-        _, every, none = asked()
-        assert (every, none) == (1, None)
-        place = tmp_path / ".piga-ui" / "trials"
-        assert (place / "key" / "report.html").is_file()
-        shutil.rmtree(place)
-        for job in jobs.all():
-            jobs.forget(job)
-        (cache / "thinned.toml").write_text("nothing", encoding="utf-8")
-        _, _, job = asked()
-        wait_until(lambda: ended(job))
-        assert asked()[2].command[1] == NAME  # a thinned copy that cannot be fitted is no reason to wait
-    finally:
-        jobs.stop_all()
 
 
 def test_two_tabs_with_other_terms_are_both_answered(client: Client) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from piga.records.run_file import read_run_file
+from piga.workbench.describe import sheet
 from piga.workbench.folder import Folder
-from piga.workbench.pages.describe import sheet
 from tests.workbench.logs import german
 
 KEY = "instrument.scale_factor"
@@ -21,7 +21,7 @@ def folder(tmp_path: Path) -> Folder:
 
 
 @pytest.mark.parametrize(
-    ("typed", "words"), [("0,8884", "unit is missing"), ("0.8884 rad/s", "rad/s"), ("0,8884.1 rad/s/g", "not one number")]
+    ("typed", "words"), [("0,8884", "unit is missing"), ("0.8884 rad/s", "rad/s"), ("0,8884.1 rad/s/g", "comma in the number")]
 )  # fmt: skip
 def test_a_wrong_number_is_refused_at_its_field_and_kept(folder: Folder, typed: str, words: str) -> None:
     made = sheet(folder, "log.csv", {f"q:{KEY}": typed, f"u:{KEY}": ""})

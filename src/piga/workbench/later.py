@@ -7,10 +7,10 @@ the regimes of the motion under constant input.
 from __future__ import annotations
 
 import contextlib
-import datetime as dt
 import secrets
 import shlex
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -20,7 +20,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
-from piga.certificate.certificate_file import read_certificate_file
+from piga.certificate.certificate_file import missing_items, read_certificate_file
+from piga.certificate.page import is_draft
 from piga.data import example_files
 from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
@@ -33,34 +34,26 @@ from piga.instrument import (
     regime,
     revolution_period,
 )
-from piga.records.text_files import toml_document
+from piga.records.text_files import toml_document, toml_text, toml_value
 from piga.reports import Page, Plot, Section, Tile, page_html
 from piga.reports.render.numbers import significant
 from piga.reports.stand import locking_figure
 from piga.units import G0, to_si
-from piga.workbench.folder import CALIBRATION, ChangedError, Kept, OutsideError
-from piga.workbench.jobs import Job
-from piga.workbench.pages.common import (
+from piga.workbench.common import (
     Bench,
     Field,
     Sent,
     bench_of,
     form,
-    in_line,
     redirect,
     render,
     start,
 )
-from piga.workbench.pages.record import kept_of, left
+from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError
+from piga.workbench.jobs import Job
+from piga.workbench.record import kept_of, left
 from piga.workbench.security import REPORT_POLICY
 
-CERTIFICATE = "certificate.toml"
-"""File of the laboratory's own entries."""
-_USUAL = (
-    "calibration.place", "method.deviations", "method.sampling", "method.external_results", "adjustment.performed",
-    "item.description",
-)  # fmt: skip
-"""Entries of the example that any laboratory may have, too."""
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
@@ -79,149 +72,112 @@ def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-def _example() -> dict[str, Any]:
-    return _entries(toml_document(Path(CERTIFICATE), example_files()[CERTIFICATE]))
+CERTIFICATE = "certificate.toml"
+"""File of the laboratory's own entries."""
+_EXAMPLE = _entries(toml_document(Path(CERTIFICATE), example_files()[CERTIFICATE]))
+"""The entries that the form asks for, with the values of the example."""
+_LISTS = {key: value[0] for key, value in _EXAMPLE.items() if isinstance(value, list)}
+_COLUMNS = {key: tuple(part) for key, part in _LISTS.items() if isinstance(part, dict)}
+"""First part of each list, and the keys of the lists of tables."""
+_MADE_LATER = ("[certificate] issued", "[adjustment] before")
+"""What may be missing here: the command takes today, and a file that the form does not show."""
 
 
-def _columns(example: Any) -> tuple[str, ...]:
-    """Keys of a list of tables; none for another entry."""
-    return tuple(example[0]) if isinstance(example, list) and isinstance(example[0], dict) else ()
+def _shown(key: str, value: Any) -> str:
+    """An entry as it is typed; the parts of a list have a line each."""
+    if key in _COLUMNS:
+        value = ["; ".join(row.get(one, "") for one in _COLUMNS[key]).rstrip("; ") for row in value]
+    if isinstance(value, list):
+        return "\n".join(value)
+    return value if isinstance(value, str) else toml_value(value)
 
 
-def _shown(value: Any, example: Any) -> str:
-    """An entry as it is typed."""
-    if columns := _columns(example):
-        return "\n".join("; ".join(str(row.get(key, "")) for key in columns).rstrip("; ") for row in value)
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "; ".join(map(str, value)) if isinstance(value, list) else str(value)
+def _typed(key: str, text: str) -> Any:
+    """A typed entry as the file has it. A date is written as text, too."""
+    if key not in _LISTS:
+        return {"true": True, "false": False}.get(text, text)
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if (columns := _COLUMNS.get(key)) is None:
+        return lines
+    rows = [map(str.strip, line.split(";", len(columns) - 1)) for line in lines]
+    return [{one: cell for one, cell in zip(columns, row, strict=False) if cell} for row in rows]
 
 
-def _typed(text: str, example: Any) -> Any:
-    """A typed entry in the type of the example."""
-    if isinstance(example, bool):
-        return text.lower() in ("yes", "true", "1")
-    if isinstance(example, dt.date):
-        try:
-            return dt.date.fromisoformat(text)
-        except ValueError:
-            raise ArgumentError("is not a date", remedy="write year-month-day, e.g. 2026-03-04") from None
-    if not isinstance(example, list):
-        return text
-    lines = [[cell.strip() for cell in line.split(";")] for line in text.splitlines() if line.strip()]
-    if not (columns := _columns(example)):
-        return [cell for line in lines for cell in line if cell]
-    if any(len(line) > len(columns) for line in lines):
-        raise ArgumentError("a line has too many parts", remedy=f"write {'; '.join(columns)}")
-    return [{key: cell for key, cell in zip(columns, line, strict=False) if cell} for line in lines]
-
-
-def _mine(bench: Bench) -> dict[str, Any]:
-    """The laboratory's own certificate file; empty if there is none."""
-    try:
-        text = bench.folder.text(CERTIFICATE)
-    except OutsideError:
-        return {}
-    read_certificate_file(CERTIFICATE, content=text)
-    return toml_document(Path(CERTIFICATE), text.encode())
-
-
-def _own(bench: Bench, kept: Kept | None) -> dict[str, str]:
-    """What is known already: the laboratory's own entries, and those of the calibration."""
-    example, mine = _example(), _entries(_mine(bench))
-    own = {key: mine.get(key, example[key]) for key in _USUAL}
-    own |= {key: mine[key] for key in example if key in mine and mine[key] != example[key]}
-    entries = {key: _shown(value, example[key]) for key, value in own.items()}
-    if kept is not None:
-        entries |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
-    if not entries.get("certificate.number") or _is_used(bench, entries["certificate.number"]):
-        entries["certificate.number"] = _next_number(bench)
-    return entries
-
-
-def _is_used(bench: Bench, number: str) -> bool:
-    return (bench.folder.root / f"certificate-{_plain(number)}").exists()
-
-
-def _next_number(bench: Bench) -> str:
-    year = time.strftime("%Y")
-    return next(one for one in (f"{year}-{count:04d}" for count in range(1, 10000)) if not _is_used(bench, one))
-
-
-def _items(bench: Bench, values: dict[str, str]) -> list[Field]:
-    """The entries of a certificate with the laboratory's own values, and why one is refused."""
-    notes = {place.path: place.words.sentence for place in places_of("certificate")}
-    items = []
-    for key, example in _example().items():
-        value, refusal, columns = values.get(key, "").strip(), "", _columns(example)
-        try:
-            _ = value and _typed(value, example)
-        except PigaError as error:
-            refusal = in_line(error)
-        if key == "certificate.number" and value and _is_used(bench, value):
-            refusal = f"this number was used; the next free one is {_next_number(bench)}"
-        note = notes.get(key, key) + (" Separate several by semicolons." if isinstance(example, list) else "")
-        note = f"One line each: {'; '.join(columns)}." if columns else note
-        words = key.partition(".")[2].replace("_", " ").replace(".", ", ") or key
-        shown = _shown(example, example)
-        items.append(Field(key, words, shown, note, value, refusal=refusal, rows=5 if columns else 0))
-    return items
-
-
-def _document(document: dict[str, Any], values: dict[str, str], *, draft: bool = False) -> str:
-    """The certificate file with what was typed. ``draft``: the example's entries where there are no own ones, and its mark."""
-    import tomlkit
-
-    for key, example in _example().items():
-        text, (*path, last) = values.get(key, "").strip(), key.split(".")
-        table = document
+def _document(document: dict[str, Any], entries: dict[str, Any]) -> str:
+    """A certificate file with these entries. Others that it has stay."""
+    for key, value in entries.items():
+        table, (*path, last) = document, key.split(".")
         for part in path:
             table = table.setdefault(part, {})
         table.pop(last, None)
-        if text or draft:
-            table[last] = _typed(text, example) if text else example
-    if draft:
-        document["certificate"]["number"] = f"DRAFT {values['certificate.number']}"
-    return str(tomlkit.dumps(document))
+        table |= {} if value in ("", []) else {last: value}
+    return toml_text(document)
+
+
+def _own(bench: Bench, kept: Kept) -> tuple[dict[str, Any], str, dict[str, str]]:
+    """The laboratory's certificate file, its text, and the entries of the form: those of the file, and what is known.
+
+    While laboratory or customer are those of the example, no other entry of the example is the laboratory's own.
+    """
+    document, text, theirs = dict[str, Any](), "", dict[str, Any]()
+    with contextlib.suppress(OutsideError):  # there is none yet
+        text = bench.folder.text(CERTIFICATE)
+        document = toml_document(Path(CERTIFICATE), text.encode())
+        theirs = _EXAMPLE if is_draft(read_certificate_file(CERTIFICATE, content=text)) else {}
+    known = {key: value for key, value in _entries(document).items() if value != theirs.get(key)}
+    known |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
+    numbers = (known.get("certificate.number"), *(f"{time.strftime('%Y')}-{n:04d}" for n in range(1, 10000)))
+    unused = (one for one in numbers if one and not (bench.folder.root / f"certificate-{_plain(one)}").exists())
+    known["certificate.number"] = next(unused)
+    return document, text, {key: _shown(key, known.get(key, "")) for key in _EXAMPLE}
+
+
+def _fault(key: str, missing: list[str]) -> str:
+    """What is wrong with an entry: ``[people.authorised] name and role (...)``, or ``[calibration.begin]: ...``."""
+    table, _, last = key.rpartition(".")
+    heads = ((one, one.partition(" (")[0].split()) for one in missing)
+    return next((one for one, head in heads if f"[{key}" in one or {f"[{table}]", last} <= {*head}), "")
 
 
 def _certificate(request: Request, sent: Sent) -> Response:
-    """The form of a certificate, filled from the calibration and from the laboratory's own entries; or what was sent is done."""
-    bench = bench_of(request)
-    of = sent.get("of") or request.query_params.get("of", "")
-    kept = kept_of(bench, of) if of else None
-    values = {key.removeprefix("c:"): text for key, text in sent.items() if key.startswith("c:")}
-    items = _items(bench, values if sent else _own(bench, kept))
-    is_draft = sent.get("do") != "issue"
-    wrong = any(item.refusal or not (item.typed or is_draft) for item in items)
-    if sent and kept is not None and not wrong:
-        return _issue(request, sent, kept, values, is_draft=is_draft)
-    seen, message = "", "Some entries are missing or cannot be used; each says why." if sent else ""
-    with contextlib.suppress(PigaError):
-        seen = bench.history.seen(bench.folder.text(CERTIFICATE))
+    """The form of a certificate. What was sent is saved and shown as a draft; or issued, if nothing is missing."""
+    bench, of = bench_of(request), sent.get("of") or request.query_params.get("of", "")
+    kept, command = kept_of(bench, of), []
+    document, text, values = _own(bench, kept)
+    seen = sent.get("seen", bench.history.seen(text) if text else "")
+    values |= {key: sent[f"c:{key}"].strip() for key in _EXAMPLE if f"c:{key}" in sent}
+    entries = {key: _typed(key, value) for key, value in values.items()}
+    text, number = _document(document, entries), values["certificate.number"]
+    try:
+        missing = missing_items(read_certificate_file(CERTIFICATE, content=text), kept.calibration)
+        missing = [one for one in missing if not one.startswith(_MADE_LATER)]
+        if sent.get("do") == "issue" and not missing:
+            command = ["--data", CERTIFICATE, "--out", f"certificate-{_plain(number)}"]
+        elif sent.get("do") == "draft":  # the entries of the example stand where there are no own ones
+            place = bench.folder.state_room("trials") / secrets.token_hex(8)
+            shown = {key: value or _EXAMPLE[key] for key, value in entries.items()}
+            shown["certificate.number"] = f"DRAFT {number}"
+            place.with_suffix(".toml").write_text(_document(document, shown), encoding="utf-8")
+            command = ["--data", f"{TRIALS}{place.name}.toml", "--out", f"{TRIALS}{place.name}"]
+    except PigaError as error:
+        missing = [str(error)]
+    if command:
+        bench.history.write(CERTIFICATE, seen, text, "certificate entries")
+        command += ["--dcc"] if sent.get("dcc") else []
+        issue = ("certificate", "issue", f"{kept.name}/{CALIBRATION}", *command)
+        return start(request, issue, "Certificate", kept.name, command[3])
+    notes, items = {place.path: place.words.sentence for place in places_of("certificate")}, []
+    for key, example in _EXAMPLE.items():
+        table, _, last = key.rpartition(".")
+        note = f"One line each: {'; '.join(_COLUMNS[key])}." if key in _COLUMNS else notes.get(key, "")
+        rows = 5 if key in _COLUMNS else 2 if key in _LISTS else 0
+        field = Field(key, last.replace("_", " "), _shown(key, example), note, values[key], rows=rows)
+        fault = _fault(key, missing)
+        items.append((table or key, replace(field, refusal=fault if sent else ""), "missing" if fault else ""))
     return render(
-        request, "certificate.html.jinja", 422 if sent else 200, **left(bench, kept_name=of), one=kept, message=message, seen=seen,
-        items=[(item.key.partition(".")[0], item) for item in items],
-        missing=sum(not item.typed for item in items),
+        request, "certificate.html.jinja", 422 if sent else 200, **left(bench, kept_name=of), one=kept, seen=seen,
+        items=items, missing=missing,
     )  # fmt: skip
-
-
-def _issue(request: Request, sent: Sent, kept: Kept, values: dict[str, str], *, is_draft: bool) -> Response:
-    """Save the laboratory's entries; show a draft, or issue the certificate."""
-    bench = bench_of(request)
-    text = _document(_mine(bench), values)
-    bench.history.write(CERTIFICATE, sent.get("seen", ""), text, "certificate entries")
-    out, source = f"certificate-{_plain(values['certificate.number'])}", CERTIFICATE
-    if is_draft:
-        place = bench.folder.state_room("trials") / secrets.token_hex(8)
-        place.with_suffix(".toml").write_text(_document(_mine(bench), values, draft=True), encoding="utf-8")
-        out = bench.folder.name(place)
-        source = f"{out}.toml"
-    command = ["certificate", "issue", f"{kept.name}/{CALIBRATION}", "--data", source, "--out", out]
-    command += ["--dcc"] if sent.get("dcc") else []
-    if is_draft:
-        return redirect(f"/jobs/{bench.jobs.start(command, 'DRAFT certificate', kept.name, out).key}")
-    return start(request, command, "Certificate", kept.name, out)
 
 
 def _asked(
@@ -286,7 +242,7 @@ def _plan(request: Request, sent: Sent) -> Response:
         document["instrument"]["serial"] = kept.calibration.serial
         document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
     stem = f"plan-{_plain(str(document['instrument']['serial']))}"
-    name = next(n for n in (f"{stem}-{i}.toml" for i in range(1, 10000)) if not bench.folder.path(n).exists())
+    name = bench.folder.free(bench.folder.root, stem, ".toml").name
     bench.history.write(name, "", tomlkit.dumps(document), f"plan {name}")
     out = name.removesuffix(".toml")
     return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
@@ -366,11 +322,9 @@ def _show_jobs(request: Request) -> Response:
 def _show_job(request: Request) -> Response:
     """One job: its state, what it printed, its files."""
     bench, job = _job_of(request)
-    state = job.state
+    state, line = job.state, f"piga {shlex.join(job.command)}"
     files = _result_files(bench, job) if state == "done" else []
-    line = f"piga {shlex.join(job.command)}"
-    out, err = job.text("out"), job.text("err")
-    return render(request, "job.html.jinja", job=job, state=state, line=line, files=files, out=out, err=err)
+    return render(request, "job.html.jinja", job=job, state=state, line=line, files=files)
 
 
 def _progress(request: Request) -> Response:
