@@ -35,6 +35,15 @@ def drawn(browser: Browser) -> None:
     browser.until("document.querySelectorAll('figure.signal[data-points] canvas').length >= 2")
 
 
+def filled(page: Any, day: str = "") -> None:
+    """Type the example's entries where the form of a certificate misses some; ``day`` instead of its dates."""
+    for entry in page.locator(".missing input, .missing textarea").all():
+        example = entry.get_attribute("placeholder") or ""
+        entry.fill(day if day and re.fullmatch(r"2026-\d\d-\d\d", example) else example)
+    for name, choice in (("Place", "laboratory"), ("Performed", "false")):
+        page.get_by_label(name, exact=True).select_option(choice)
+
+
 @narrow
 def test_a_strangers_log_takes_six_actions(browser: Browser, place: Path, tmp_path: Path) -> None:
     """Drop it, type scale factor and counts, go on, leave the moves out, keep: K within 2 u."""
@@ -104,8 +113,7 @@ def test_the_first_screen_leads_to_an_answer_and_a_certificate(program: Any, tmp
         frame.get_by_text("DRAFT: not a certificate").wait_for()
         browser.open("/certificate?of=tumble-a-calibration")  # what was typed is there
         assert page.get_by_label("begin").input_value() == "2026-05-01"
-        for entry in page.locator(".missing input, .missing textarea").all():
-            entry.fill(entry.get_attribute("placeholder") or "")
+        filled(page)
         page.locator("[id='c:laboratory.name']").fill("Our Laboratory")
         page.get_by_role("button", name="Issue").click()
         page.get_by_role("link", name="certificate.html").wait_for()
@@ -228,9 +236,7 @@ def test_a_certificate_is_issued(browser: Browser, place: Path) -> None:
     made_up.mkdir()
     budgeted(calibration(serial="tumble-a", with_residuals=False)).to_json(made_up / "calibration.json")
     browser.open("/certificate?of=made-up-calibration")
-    for entry in page.locator(".missing input, .missing textarea").all():
-        example = entry.get_attribute("placeholder") or ""
-        entry.fill("2025-12-30" if re.fullmatch(r"2026-\d\d-\d\d", example) else example)  # before the result
+    filled(page, day="2025-12-30")  # before the result
     page.get_by_label("Also as digital certificate").check()
     number = page.get_by_label("number").input_value()
     page.get_by_role("button", name="Issue").click()

@@ -166,12 +166,16 @@ def _certificate(request: Request, sent: Sent) -> Response:
         command += ["--dcc"] if sent.get("dcc") else []
         issue = ("certificate", "issue", f"{kept.name}/{CALIBRATION}", *command)
         return start(request, issue, "Certificate", kept.name, command[3])
-    notes, items = {place.path: place.words.sentence for place in places_of("certificate")}, []
+    places, items = {place.path: place for place in places_of("certificate")}, []
     for key, example in _EXAMPLE.items():
         table, _, last = key.rpartition(".")
-        note = f"One line each: {'; '.join(_COLUMNS[key])}." if key in _COLUMNS else notes.get(key, "")
+        kinds = [one.strip('"') for one in places[key].kind.split(" | ")]
+        choices = (("", "\u2013"), *zip(kinds, kinds, strict=True)) if len(kinds) > 1 else ()
+        note = f"One line each: {'; '.join(_COLUMNS[key])}." if key in _COLUMNS else places[key].words.sentence
         rows = 5 if key in _COLUMNS else 2 if key in _LISTS else 0
-        field = Field(key, last.replace("_", " "), _shown(key, example), note, values[key], rows=rows)
+        field = Field(
+            key, last.replace("_", " "), _shown(key, example), note, values[key], choices=choices, rows=rows
+        )
         fault = _fault(key, missing)
         items.append((table or key, replace(field, refusal=fault if sent else ""), "missing" if fault else ""))
     return render(
