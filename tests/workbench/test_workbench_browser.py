@@ -99,7 +99,7 @@ def test_the_first_screen_leads_to_an_answer_and_a_certificate(program: Any, tmp
         for file in ("calibration.json", "residuals.parquet"):
             assert _timeless(kept / file) == _timeless(other / file), file
         browser.is_accessible()
-        page.get_by_text("DRAFT until these are settled").wait_for()
+        page.get_by_text("DRAFT: 23 to settle").wait_for()
         page.get_by_role("button", name="Issue").click()
         page.locator(".missing .refusal").first.wait_for()
         browser.is_accessible()

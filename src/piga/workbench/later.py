@@ -166,7 +166,7 @@ def _certificate(request: Request, sent: Sent) -> Response:
         command += ["--dcc"] if sent.get("dcc") else []
         issue = ("certificate", "issue", f"{kept.name}/{CALIBRATION}", *command)
         return start(request, issue, "Certificate", kept.name, command[3])
-    places, items = {place.path: place for place in places_of("certificate")}, []
+    places, items, marked = {place.path: place for place in places_of("certificate")}, [], set[str]()
     for key, example in _EXAMPLE.items():
         table, _, last = key.rpartition(".")
         kinds = [one.strip('"') for one in places[key].kind.split(" | ")]
@@ -177,10 +177,11 @@ def _certificate(request: Request, sent: Sent) -> Response:
             key, last.replace("_", " "), _shown(key, example), note, values[key], choices=choices, rows=rows
         )
         fault = _fault(key, missing)
+        marked.add(fault)
         items.append((table or key, replace(field, refusal=fault if sent else ""), "missing" if fault else ""))
     return render(
         request, "certificate.html.jinja", 422 if sent else 200, **left(bench, kept_name=of), one=kept, seen=seen,
-        items=items, missing=missing,
+        items=items, missing=missing, other=[one for one in missing if one not in marked],
     )  # fmt: skip
 
 
