@@ -66,8 +66,8 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
     if np.isfinite(trend.scores).any():
         _add_control(plot, trend, drifts.start)
     return plot.caption(
-        "Above, the values with the 95 % interval of each record's own uncertainty, the line through the "
-        "days, and the band in which a further record is expected. Below, how far each day lies from what the days "
+        "Above, the values with the 95 % interval of each record's own uncertainty, and what the history says of a "
+        "further record at any time, with its 95 % band. Below, how far each day lies from what the days "
         "before forecast, and the moving average of these scores. Good: points in the band, scores within ±3, "
         "the average within its own limits."
     )
@@ -85,7 +85,7 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
         middle, half = shown([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
-        plot.band(x, middle - half, middle + half, "95 % of further records").line(x, middle, "line", "model")
+        plot.band(x, middle - half, middle + half, "95 % of further records").line(x, middle, "expected record", "model")
     for name, role, outside in _KINDS:
         those = [point for point in trend.points if point.outside == outside]
         if those or not outside:
@@ -203,7 +203,7 @@ def _scale(trend: CoefficientTrend) -> float:
 
 
 def _at(trend: CoefficientTrend, years: float) -> str:
-    """Value on the line with its interval; empty without a line."""
+    """Value at a time with its interval; empty without a line."""
     return _interval(trend.coefficient_at(years), _scale(trend)) if trend.line else ""
 
 
