@@ -85,7 +85,9 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
         middle, half = shown([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
-        plot.band(x, middle - half, middle + half, "95 % of further records").line(x, middle, "expected record", "model")
+        plot.band(x, middle - half, middle + half, "95 % of further records").line(
+            x, middle, "expected record", "model"
+        )
     for name, role, outside in _KINDS:
         those = [point for point in trend.points if point.outside == outside]
         if those or not outside:
@@ -131,7 +133,7 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
     judged = (*(alarms or [Notice("good" if drifts.judged else "info", calm)]), *remarks)
     lead = (
         "Turn-on is the scatter inside a day, day to day the scatter between days, each beyond the records' own "
-        "uncertainties; drift is the line through the days. Intervals are for 95 %, by Student's t. Errors that all "
+        "uncertainties; drift is the line through the days. Intervals are for 95 %. Errors that all "
         "records share (the same standard) cancel in drift and scatter, and are part of the value and its forecast."
     )
     return Page(

@@ -17,7 +17,7 @@ from piga.calibration.calibrate import calibrate
 from piga.calibration.fit import fit_run
 from piga.calibration.model.request import make_request
 from piga.compensation import compensate
-from piga.errors import ArgumentError, CalibrationError, DataError, IdentifiabilityError
+from piga.errors import CalibrationError
 from piga.instrument import Instrument, propagate
 from piga.records import Calibration, Run
 from piga.records.run_file import TomlTable
@@ -183,18 +183,14 @@ def own_calibration(profile: ForceHistory) -> Calibration:
 
 def growing_estimates(run: Run, terms: tuple[str, ...]) -> dict[str, Array]:
     """Estimates, and their standard uncertainties of the weights, of the first samples of a record (file units)."""
-    rows, marks = [], []
-    for mark in np.unique(np.linspace(1, run.size, GROWING).astype(np.int64)).tolist():
-        try:
-            part = run.between(float(run.t[0]), float(run.t[mark - 1]))
-            fit = fit_run(part, make_request(part, terms))
-        except (ArgumentError, CalibrationError, DataError, IdentifiabilityError):
-            continue  # too few samples
+    marks, rows = np.linspace(1, run.size, GROWING).astype(np.int64)[1:], []
+    for mark in marks.tolist():
+        part = run.between(float(run.t[0]), float(run.t[mark - 1]))
+        fit = fit_run(part, make_request(part, terms))
         named, _ = fit.runs.named(fit.estimate, fit.estimate.covariance)
         rows.append([size for c in named for size in (c.value, c.std)])
-        marks.append(mark)
     keys = [key for c in named for key in (c.name, f"u({c.name})")]
-    return {"sample": np.array(marks, dtype=float), **dict(zip(keys, np.array(rows).T, strict=True))}
+    return {"sample": marks.astype(float), **dict(zip(keys, np.array(rows).T, strict=True))}
 
 
 def raw_state(calibration: Calibration) -> tuple[float, float]:
