@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -92,6 +93,11 @@ def truth(s, orders=3):
     return np.concatenate([*tips, [known.eta0, known.eta_rate]])
 
 
+def without_errors(s: PlatformScenario) -> PlatformScenario:
+    """The scenario with perfect gyros and sensors: what the navigator alone does."""
+    return replace(s, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
+
+
 def navigated(s: PlatformScenario, model="none", **options) -> tuple[PlatformRun, Navigation]:
     """A run, and its navigation with this model from the true start."""
     run = simulate(s)
@@ -102,4 +108,4 @@ def navigated(s: PlatformScenario, model="none", **options) -> tuple[PlatformRun
 def alignment(drift: tuple[float, ...] = (0.0, 0.0, 0.0), std: tuple[float, ...] = (1.0,) * 9) -> Alignment:
     """An alignment at the place of the published case, with this drift and these standard uncertainties."""
     place = load_scenario(EXAMPLES / "platform-published.toml").place
-    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, {}, 1.0)
+    return Alignment(place, np.eye(3), np.array(drift), np.eye(3), np.diag(np.square(std)), {}, 1.0)

@@ -22,7 +22,7 @@ from piga.platform import (
 from piga.platform.chain import standard_sources
 from piga.platform.geometry import local_axes
 from piga.platform.navigator import Perturbation, true_start
-from tests.platform.conftest import INTERPRETED, alignment, published
+from tests.platform.conftest import INTERPRETED, alignment, published, without_errors
 
 pytestmark = pytest.mark.interpreted
 
@@ -32,7 +32,7 @@ SOURCES = list(standard_sources().items())
 
 @pytest.fixture(scope="module")
 def quiet_run():
-    return simulate(published(duration=DURATION, step=2.0).without_errors())
+    return simulate(without_errors(published(duration=DURATION, step=2.0)))
 
 
 def perturbed_errors(run, perturbation):

@@ -22,14 +22,14 @@ from piga.platform.geometry import (
 )
 from piga.platform.navigator import true_start
 from piga.platform.scenario import Gyro, MotionPlan
-from tests.platform.conftest import INTERPRETED, long, navigated, published, swaying
+from tests.platform.conftest import INTERPRETED, long, navigated, published, swaying, without_errors
 
 pytestmark = pytest.mark.interpreted
 
 
 @long
 def test_ten_static_days_without_errors_stand_still():
-    s = published().without_errors()
+    s = without_errors(published())
     run, shown = navigated(s)
     e = errors(shown, run.truth, run.readouts)
     assert e.horizontal.max() < 1e-5
@@ -83,7 +83,7 @@ def test_rows_can_be_thinned_but_must_divide():
 
 
 def test_the_vertical_channel_is_unstable_alone_and_damped_by_altitude():
-    s = published(duration=2400.0, step=4.0).without_errors()
+    s = without_errors(published(duration=2400.0, step=4.0))
     run = simulate(s)
     made = compensator("none", true_knowledge(s), run.readouts)
     start = true_start(run.truth)
@@ -133,7 +133,7 @@ def test_what_is_shown_follows_from_the_matrices():
 
 def test_a_swaying_base_is_followed():
     motion = swaying((0.05, 9.0), (0.03, 7.0), (0.02, 13.0), (0.5, 20.0), (0.4, 16.0), (0.3, 12.0))
-    s = published(duration=600.0, step=0.5, motion=motion).without_errors()
+    s = without_errors(published(duration=600.0, step=0.5, motion=motion))
     run = simulate(s)
     readouts = replace(run.readouts, altitude=np.zeros(1))
     made = compensator("none", true_knowledge(s), readouts)

@@ -36,6 +36,8 @@ _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
 _NOISE_STEPS = 20
 """Most steps to the noise levels of the groups."""
+_STEPS, _ALIGNING_STEPS = 6, 5
+"""Most steps of an identification; steps of an alignment."""
 _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""
 UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
@@ -51,10 +53,9 @@ class LeastSquares(Result):
     condition: float
     levels: tuple[float, ...]
 
-    def by_source(self, parts: Sequence[Reduced]) -> tuple[dict[str, float], dict[str, float]]:
-        """Noise level of each group, and the root mean square of its residuals after the step."""
-        noise = {part.name: level for part, level in zip(parts, self.levels, strict=True)}
-        return noise, {part.name: float(np.sqrt(part.squares(self.step) / part.rows)) for part in parts}
+    def by_source(self, parts: Sequence[Reduced]) -> dict[str, float]:
+        """Noise level of each group."""
+        return {part.name: level for part, level in zip(parts, self.levels, strict=True)}
 
 
 def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
@@ -104,7 +105,7 @@ def gauss_newton(
     record: ObservedRecord, x: Unknowns, steps: int, progress: Progress | None, settled: float = _SETTLED
 ) -> tuple[Unknowns, list[Reduced], LeastSquares]:
     """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
-    for k in range(max(steps, 1)):
+    for k in range(steps):
         report(progress, k, steps, f"step {k + 1} of at most {steps}")
         parts = record.groups(x)
         solution = solve(parts, record.names)
@@ -141,7 +142,6 @@ class Identification(Result):
     values: Array
     covariance: Array
     noise: dict[str, float]
-    rms: dict[str, float]
     degrees_of_freedom: float
     condition: float
     parameters: tuple[Parameter, ...]
@@ -166,14 +166,13 @@ class Identification(Result):
 
 @one_thread()
 def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATIC_SOURCES, orders: int = 3,
-             iterations: int = 6, progress: Progress | None = None) -> Identification:  # fmt: skip
+             progress: Progress | None = None) -> Identification:  # fmt: skip
     """Batch identification by weighted Gauss-Newton least squares on the exact geometry.
 
     ``readouts`` are the calibration stretch; for ``gimbals`` the base must be at rest. ``place`` of the base: its gravity
     gives the first triad attitude. ``sources``: any of ``gimbals``, ``pick-off``, ``force``. ``orders``: harmonics of the
-    misalignment over the case turn to identify. ``iterations``: largest number of steps; the iteration ends earlier if it
-    has converged. ``progress`` is called as ``progress(done, total, what)`` before each step; it returns False to stop
-    (:mod:`piga.progress`).
+    misalignment over the case turn to identify. ``progress`` is called as ``progress(done, total, what)`` before each step; it
+    returns False to stop (:mod:`piga.progress`).
 
     Raises
     ------
@@ -184,11 +183,10 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         20 samples a turn.
     """
     record = ObservedRecord.checked(readouts, place, sources, orders)
-    x, parts, solution = gauss_newton(record, record.coarse(), iterations, progress)
+    x, parts, solution = gauss_newton(record, record.coarse(), _STEPS, progress)
     count = 4 + 4 * orders + (2 if "pick-off" in sources else 0)
     values = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
     covariance = solution.covariance[:count, :count]
-    noise, rms = solution.by_source(parts)
     return Identification(
         sources=record.sources,
         polar=x.polar.gyro(),
@@ -198,8 +196,7 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         names=record.names[:count],
         values=values,
         covariance=covariance,
-        noise=noise,
-        rms=rms,
+        noise=solution.by_source(parts),
         degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
         condition=solution.condition,
         parameters=_parameters(values, covariance, orders),
@@ -375,7 +372,7 @@ ALIGNED = names(0)[-9:]
 class Alignment(Result):
     """Triad ``C_G^i`` (3, 3) at time zero, drift (3,) [rad/s] along triad axes, base ``C_b^n`` (3, 3).
 
-    ``covariance`` (9, 9) in the order of :data:`ALIGNED`; ``noise`` per source; ``rms`` after the fit.
+    ``covariance`` (9, 9) in the order of :data:`ALIGNED`; ``noise`` per source.
     The alignment cannot observe accelerometer biases.
     """
 
@@ -385,7 +382,6 @@ class Alignment(Result):
     base: Array
     covariance: Array
     noise: dict[str, float]
-    rms: dict[str, float]
     condition: float
 
     @property
@@ -438,7 +434,7 @@ def _angles(base: Array) -> Array:
 
 
 def align(
-    readouts: Readouts, place: Place, knowledge: Knowledge, *, orders: int = 3, iterations: int = 5,
+    readouts: Readouts, place: Place, knowledge: Knowledge, *, orders: int = 3,
     progress: Progress | None = None,
 ) -> Alignment:  # fmt: skip
     """Align on a record of a base at rest at a known place. The misalignments must be known.
@@ -459,6 +455,6 @@ def align(
         eta0=knowledge.eta0,
         eta_rate=knowledge.eta_rate,
     )
-    x, parts, solution = gauss_newton(record, known, iterations, progress, settled=0.0)
+    x, parts, solution = gauss_newton(record, known, _ALIGNING_STEPS, progress, settled=0.0)
     base, noise = local_axes(place.latitude, place.longitude).T @ x.base, solution.by_source(parts)
-    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, *noise, solution.condition)
+    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, noise, solution.condition)

@@ -6,7 +6,7 @@ The quantities of a document are brought to SI (:func:`in_si`) before it is conv
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -186,10 +186,6 @@ class PlatformScenario:
     def steps(self) -> int:
         """Number of steps of the run."""
         return round(self.duration / self.step)
-
-    def without_errors(self) -> PlatformScenario:
-        """The scenario with perfect gyros and sensors: what the navigator alone does."""
-        return replace(self, polar=Gyro(), equatorial=Gyro(), sensors=Sensors())
 
 
 class PlatformRunTable(TomlTable, frozen=True):
