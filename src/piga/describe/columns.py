@@ -261,21 +261,23 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
 
 
 def guess_columns(
-    names: tuple[str, ...], units: dict[str, str], sample: dict[str, list[str]], numbers: dict[str, Array]
+    names: Mapping[str, str], units: dict[str, str], sample: dict[str, list[str]], numbers: dict[str, Array]
 ) -> list[ColumnGuess]:
     """Guess what every named column holds.
 
     Parameters
     ----------
     names, units:
-        Names of the columns, and their units where the log has them.
+        The columns, each with the part of its name that says what it holds, and their units where the log has them.
     sample:
         First cells of each column as text; empty for files that hold no text.
     numbers:
         Values of the number columns (n,).
     """
     guesses = [
-        _by_name(name, units.get(name, ""), sample.get(name, []), numbers.get(name)) for name in names if name
+        _by_name(name, short, units.get(name, ""), sample.get(name, []), numbers.get(name))
+        for name, short in names.items()
+        if name
     ]
     guesses = _one_output(guesses, numbers)
     guesses = _by_values(guesses, numbers)
@@ -335,9 +337,9 @@ def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> l
     return guesses
 
 
-def _by_name(name: str, logged: str, cells: list[str], x: Array | None) -> ColumnGuess:
-    kind, axis = kind_of_name(name)
-    unit = known_unit(logged) or known_unit(unit_in_name(name)[1])
+def _by_name(name: str, short: str, logged: str, cells: list[str], x: Array | None) -> ColumnGuess:
+    kind, axis = kind_of_name(short)
+    unit = known_unit(logged) or known_unit(unit_in_name(short)[1])
     guess = ColumnGuess(name, kind, "its name", axis, unit)
     forms = forms_of(cells[:50]) if cells and x is None else []
     if forms:

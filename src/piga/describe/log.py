@@ -112,8 +112,9 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
 def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     layout = text_layout(path)
     form, cells = layout.form, layout.sample.items()
+    names = {name: name for name in form.names}
     numeric = tuple(name for name, some in cells if _mostly_numbers(some, form.decimal))
-    label = _label_column(form.names, layout.sample, told)
+    label = _label_column(names, layout.sample, told)
     stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
     stamp = next(stamps, None)
     read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
@@ -133,7 +134,7 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
     fills = without_fills(numbers, numeric)
     valued = {name: numbers[name] for name in numeric}
-    columns = as_told(guess_columns(form.names, form.units, layout.sample, valued), told, valued)
+    columns = as_told(guess_columns(names, form.units, layout.sample, valued), told, valued)
     labels = tuple(stream.label_names)
     return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels, fills)
 
@@ -154,12 +155,14 @@ def _label_numbers(names: list[str], decimal: str) -> Array:
     return np.array([*numbers, np.nan])
 
 
-def _label_column(names: tuple[str, ...], sample: dict[str, list[str]], told: Mapping[str, str]) -> str | None:
+def _label_column(
+    names: Mapping[str, str], sample: dict[str, list[str]], told: Mapping[str, str]
+) -> str | None:
     """The column that may number the segments: as told, else by its name."""
     segments = [name for name, kind in told.items() if kind == "segment" and name in names]
     if segments:
         return segments[0]
-    named = [name for name in names if sample.get(name) and kind_of_name(name)[0] == "segment"]
+    named = [name for name, one in names.items() if sample.get(name) and kind_of_name(one)[0] == "segment"]
     return named[0] if named else None
 
 
@@ -182,51 +185,42 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     """A log in another format than text: every column of numbers is read. Guesses go by short names without units."""
     listed = _columns_by_sheet(path)
     sheet = max(listed, key=lambda one: known_names(listed[one]))
-    full = _short_names(listed[sheet], file_kind(path))
-    plain, units = units_in_names(tuple(full))
-    full = dict(zip(plain, full.values(), strict=True))
-    short = {name: one for one, name in full.items()}
-    read, stated = _numbers_of(path, sheet, list(short))
-    numbers = {one: read[name] for name, one in short.items() if name in read}
-    units |= {short[name]: unit for name, unit in stated.items()}
-    told = {short.get(name, name): kind for name, kind in told.items()}
-    label = _label_column(plain, {name: ["x"] for name in plain}, told)
+    names, units = _short_names(listed[sheet], file_kind(path))
+    numbers, stated = _numbers_of(path, sheet, list(names))
+    full = {short: name for name, short in names.items()}
+    told = {full.get(name, name): kind for name, kind in told.items()}
+    label = _label_column(names, {name: ["x"] for name in names}, told)
     codes, labels = None, []
     if label is not None and numbers:
-        whole = (one for one, column in numbers.items() if np.isfinite(column).all())
-        other = full[next(whole, next(iter(numbers)))]
-        stream = columns_stream(path, (other,), full[label], sheet)
+        whole = (name for name, column in numbers.items() if np.isfinite(column).all())
+        other = next(whole, next(iter(numbers)))
+        stream = columns_stream(path, (other,), label, sheet)
         codes, labels = _collected(stream, (other,))[1], stream.label_names
     fills = without_fills(numbers, tuple(numbers))
-    guesses = as_told(guess_columns(plain, units, {}, numbers), told, numbers)
-    columns = [replace(guess, name=full[guess.name]) for guess in guesses]
-    columns += [ColumnGuess(n, "other", "it is in another group") for n in listed[sheet] if n not in short]
+    columns = as_told(guess_columns(names, units | stated, {}, numbers), told, numbers)
+    columns += [ColumnGuess(n, "other", "it is in another group") for n in listed[sheet] if n not in names]
     facts = {}
     if len(listed) > 1:
         others = tuple(one for one in listed if one != sheet)
         facts["data.sheet"] = Guess(sheet, f"the sheet with the most known names of {len(listed)}", others)
-    return LogDescription(
-        path,
-        None,
-        tuple(columns),
-        facts,
-        {full[one]: column for one, column in numbers.items()},
-        codes,
-        tuple(labels),
-        {full[one]: value for one, value in fills.items()},
-    )
+    return LogDescription(path, None, tuple(columns), facts, numbers, codes, tuple(labels), fills)
 
 
-def _short_names(names: tuple[str, ...], kind: str) -> dict[str, str]:
-    """Full name of each column by its name without groups. Of groups with equal names, that with the most known names."""
+def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Name of each column without groups and unit, and the units in the names.
+
+    Of groups with equal names, that with the most known names.
+    """
     split = {".mat": "[./]", ".tdms": "/", ".h5": "/", ".hdf5": "/", ".hdf": "/"}.get(kind)
     short = {name: re.split(split, name)[-1] if split else name for name in names if name}
-    if len(set(short.values())) == len(short):
-        return {one: name for name, one in short.items()}
-    groups: dict[str, dict[str, str]] = {}
-    for name, one in short.items():
-        groups.setdefault(name.removesuffix(one), {})[one] = name
-    return max(groups.values(), key=known_names)
+    if len(set(short.values())) < len(short):
+        groups: dict[str, dict[str, str]] = {}
+        for name, one in short.items():
+            groups.setdefault(name.removesuffix(one), {})[name] = one
+        short = max(groups.values(), key=lambda group: known_names(group.values()))
+    bare, units = units_in_names(tuple(short.values()))
+    short = dict(zip(short, bare, strict=True))
+    return short, {name: units[one] for name, one in short.items() if one in units}
 
 
 def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
