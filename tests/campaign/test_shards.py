@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from piga.campaign import collect, open_campaign, plan_campaign, run_campaign
-from piga.campaign.shards import _client, read_part, run_shard
+from piga.campaign.shards import _client, run_shard
 from piga.errors import CancelledError, DataError, PigaError
 from tests.campaign.small import ROOT, SMALL, call, collected, computed, rows, start, workers, written
 from tests.certificate.certificate_data import key_pair
@@ -101,21 +101,6 @@ def test_damaged_parts_are_named(tmp_path):
     run_shard(str(tmp_path / "out"), 1)
     again = rows(tmp_path / "out")[4:]
     assert [row | {"seconds": 0} for row in again] == [row | {"seconds": 0} for row in before]
-
-
-@pytest.mark.long
-def test_every_flip_of_a_part_is_seen(tmp_path):
-    campaign = computed(written(tmp_path), tmp_path / "out", (0,))
-    (path,) = campaign.parts().values()
-    whole, rng = path.read_bytes(), random.Random(5)
-    for _ in range(300):
-        damaged = bytearray(whole)
-        damaged[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
-        path.write_bytes(damaged)
-        with pytest.raises(DataError):
-            read_part(campaign, 0, path)
-    path.write_bytes(whole)
-    assert read_part(campaign, 0, path).num_rows == 12
 
 
 def test_disk_full(tmp_path):

@@ -113,21 +113,6 @@ def test_signed_again_by_somebody_else(cal, keys, tmp_path):
         verify_signature(put(tmp_path, raw), keys["ours"][1])
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (b"2026-0117-PIGA", b"2026-0118-PIGA"),
-        (b"<si:value>0.0906", b"<si:value>0.0907"),
-        (b"basic_measuredValue", b"basic_measuredvalue"),
-        (b"Example Navigation Ltd", b"Example Navigation Inc"),
-    ],
-)
-def test_a_change_breaks_it(signed, keys, tmp_path, old, new):
-    assert old in signed
-    with pytest.raises(DataError, match="does not hold: Digest mismatch"):
-        verify_signature(put(tmp_path, signed.replace(old, new, 1)), keys["ours"][1])
-
-
 def test_the_figures_of_each_segment_are_signed(keys, tmp_path):
     """They stand in the attached record alone: a signed certificate proves them, one without a signature does not."""
     each = calibration(phases="per-segment", with_residuals=False)

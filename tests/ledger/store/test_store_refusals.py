@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import re
 import sqlite3
@@ -16,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from piga.errors import StoreError
+from piga.errors import MissingPackageError, StoreError
 from piga.ledger.evidence import difference
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store.transfer import export_records, import_records, restore, verify
@@ -27,21 +26,15 @@ LARGE = 200_000
 """Bytes of a file that is stored compressed."""
 
 
-def test_without_the_extra_for_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    there = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "sqlalchemy" else there(name, *rest)
-    )
-    with pytest.raises(StoreError, match="needs the extra 'records'") as caught:
-        open_store(tmp_path / "a.sqlite", create=True)
-    assert "pip install 'piga[records]'" in str(caught.value)
+def test_without_the_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package, extra, place in (
+        ("psycopg", "postgres", "postgresql://piga@server/lab"),
+        ("sqlalchemy", "records", tmp_path / "a.sqlite"),
+    ):
+        monkeypatch.setitem(sys.modules, package, None)
+        with pytest.raises(MissingPackageError, match=rf"needs the package {package}(?s:.*)piga\[{extra}\]"):
+            open_store(place, create=True)
     assert not list(tmp_path.iterdir())
-
-
-def test_without_the_extra_for_postgresql(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "psycopg", None)
-    with pytest.raises(StoreError, match="needs the extra 'postgres'"):
-        open_store("postgresql://piga@server/lab")
 
 
 def test_a_name_that_no_file_can_have(tmp_path: Path) -> None:
@@ -117,22 +110,15 @@ def repack(change: Callable[[bytes], bytes]) -> Callable[[sqlite3.Connection], N
     return apply
 
 
-def statement(text: str) -> Callable[[sqlite3.Connection], None]:
-    def apply(connection: sqlite3.Connection) -> None:
-        connection.execute(text.format(large=large_part(connection)[0]))
-
-    return apply
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (repack(lambda _: b"no zlib at all"), "is damaged in the store"),
         (repack(lambda data: zlib.compress(zlib.decompress(data)[:-1])), "is damaged in the store"),
-        (statement("UPDATE piga_chunk SET data = 'text' WHERE sha256 = '{large}'"), "is damaged in the store"),
-        (statement("UPDATE piga_chunk SET codec = 'lzma' WHERE sha256 = '{large}'"), "is damaged in the store"),
-        (statement("DELETE FROM piga_chunk WHERE sha256 = '{large}'"), "is damaged in the store"),
-        (statement("DELETE FROM piga_blob WHERE sha256 = '{large}'"), "is not in the store"),
+        (
+            lambda c: c.execute("DELETE FROM piga_blob WHERE sha256 = ?", large_part(c)[:1]),
+            "is not in the store",
+        ),
     ],
 )
 def test_a_stored_file_made_by_hand_is_not_given_out(
@@ -149,15 +135,6 @@ def test_a_stored_file_made_by_hand_is_not_given_out(
         assert store.read(1, "report") == b"<p>a.sqlite-0</p>"
         with pytest.raises(StoreError, match=r"is damaged|belongs to no file|is not in the store"):
             export_records(store, tmp_path / "copy.zip")
-    assert not verify(path).sound
-
-
-def test_a_schema_that_is_no_text(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 1).close()
-    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE piga_blob", b"CREATE TABLE\xffpiga_blob"))
-    with pytest.raises(StoreError, match=r"the file is damaged(?s:.*)restore a backup"):
-        open_store(path)
     assert not verify(path).sound
 
 

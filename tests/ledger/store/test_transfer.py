@@ -12,7 +12,7 @@ from piga.errors import PigaError, StoreError
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import documents as documents_module
 from piga.ledger.store.store import Store
-from piga.ledger.store.transfer import Export, export_records, import_records, verify
+from piga.ledger.store.transfer import export_records, import_records, verify
 from piga.records.calibration.document import calibration_to_bytes
 from tests.ledger.store.drafts import draft, filled
 from tests.trend.history import record
@@ -146,18 +146,3 @@ def test_a_document_that_names_a_key_twice_is_not_sound(
     assert any("the key 'schema' occurs twice" in problem for problem in verification.problems), (
         verification.problems
     )
-
-
-def test_what_is_read_of_an_export_is_what_was_checked(tmp_path: Path, local: Store) -> None:
-    """An export that is put in place of another after it was checked is not read."""
-    first, second = tmp_path / "first.zip", tmp_path / "second.zip"
-    export_records(local, first)
-    with filled(tmp_path / "other.sqlite", 1) as other:
-        export_records(other, second)
-    with Export(first) as export:
-        identity = export.identity()
-        second.replace(first)
-        assert export.identity() == identity
-        assert len(list(export.entries())) == 2
-        for name in export.file_names():
-            assert b"".join(export.file(name))

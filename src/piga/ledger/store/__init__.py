@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piga.errors import StoreError, install_command
+from piga.errors import needed
 from piga.ledger.store.documents import Draft, DraftFile, Head, Record
 
 if TYPE_CHECKING:
@@ -27,15 +27,11 @@ def open_store(where: str | Path, *, create: bool = False) -> Store:
     Raises
     ------
     StoreError
-        If there is no store, it is damaged, not a piga store or made by a newer piga, or the extra is not installed.
+        If there is no store, it is damaged, not a piga store or made by a newer piga.
+    MissingPackageError
+        If the extra ``records`` is not installed.
     """
-    from importlib.util import find_spec
-
-    if find_spec("sqlalchemy") is None:
-        raise StoreError(
-            "the store of records needs the extra 'records', which is not installed",
-            remedy=f"install it with: {install_command('records')}",
-        )
+    needed("sqlalchemy")
     from piga.ledger.store.store import Store
 
     return Store(where, create=create)

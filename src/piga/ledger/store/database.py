@@ -19,7 +19,7 @@ from sqlalchemy import BigInteger, CheckConstraint, Column, ForeignKey, Integer,
 from sqlalchemy.exc import ArgumentError, DBAPIError, MultipleResultsFound, NoResultFound
 from sqlalchemy.pool import NullPool
 
-from piga.errors import StoreError, install_command
+from piga.errors import StoreError, needed
 from piga.ledger.store.documents import PART, Entry, Head, RecordDocument, new_identity, sha256
 
 metadata = sa.MetaData()
@@ -168,13 +168,7 @@ def _begin(connection: sa.Connection) -> None:
 
 def _postgresql(where: str) -> tuple[str, sa.Engine]:
     """Name of a database without its password, and its engine."""
-    try:
-        import psycopg  # noqa: F401 - only whether it is there
-    except ImportError:
-        raise StoreError(
-            "a PostgreSQL store needs the extra 'postgres', which is not installed",
-            remedy=f"install it with: {install_command('postgres')}",
-        ) from None
+    needed("psycopg")
     try:
         url = sa.make_url(where).set(drivername="postgresql+psycopg")
     except (ArgumentError, ValueError):
