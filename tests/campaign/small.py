@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import psutil
 
 if TYPE_CHECKING:
-    from piga.campaign import Campaign
+    from piga.campaign import Campaign, CampaignPlan
+    from piga.campaign.campaign_file import RecordName
 
 ROOT = Path(__file__).parents[2]
 
@@ -69,6 +70,12 @@ def written(folder: Path, text: str = SMALL, name: str = "small.toml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def find(plan: CampaignPlan, case: int, repeat: int) -> RecordName:
+    """A record by case and repeat."""
+    records = map(plan.record, range(plan.records))
+    return next(record for record in records if (record.case, record.repeat) == (case, repeat))
 
 
 def start(*arguments: object, **variables: str) -> subprocess.Popen[str]:

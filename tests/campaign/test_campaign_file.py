@@ -5,7 +5,7 @@ import pytest
 
 from piga.campaign import plan_campaign, read_campaign
 from piga.errors import PigaError, RunFileError
-from tests.campaign.small import ROOT, SMALL, written
+from tests.campaign.small import ROOT, SMALL, find, written
 
 HEAD = (ROOT / "examples" / "dividing-head.toml").read_text(encoding="utf-8")
 STAND = """
@@ -28,7 +28,8 @@ def test_records_have_case_and_repeat(tmp_path):
     assert names[:2] == [(0, 0, "walk"), (0, 1, "walk")]
     assert names[10:12] == [(1, 0, "white"), (1, 1, "white")]
     assert len(set(names)) == 17
-    assert all(plan.find(case, repeat).number == n for n, (case, repeat, _) in enumerate(names))
+    with pytest.raises(RunFileError, match=r"no record 17(?s:.*)from 0 to 16"):
+        plan.record(17)
 
 
 def test_grid_times_designs_times_repeats(tmp_path):
@@ -43,9 +44,11 @@ def test_grid_times_designs_times_repeats(tmp_path):
     document = plan.document(plan.record(plan.groups[3].start))
     assert document["stand"]["latitude"] == "20 deg"
     assert document["run"]["step"] == "0.05 s"
-    drawn = [plan.document(plan.find(case, 0))["truth"]["k0"] for case in range(12)]
+    drawn = [plan.document(find(plan, case, 0))["truth"]["k0"] for case in range(12)]
     assert len(set(drawn)) == 12
-    assert plan.document(plan.find(5, 1))["truth"]["k0"] == drawn[5], "repeats of a design share what was drawn"
+    assert plan.document(find(plan, 5, 1))["truth"]["k0"] == drawn[5], (
+        "repeats of a design share what was drawn"
+    )
     assert plan.document(plan.record(0))["truth"]["beta"] == "74 arcsec", "the rest is that of the file"
 
 
@@ -60,7 +63,7 @@ def test_grid_times_designs_times_repeats(tmp_path):
 )
 def test_distributions(tmp_path, entry, low, high):
     plan = read_campaign(stand(tmp_path, STAND + f'designs = 50\n[draw]\n"truth.k0" = {entry}\n'))
-    values = [float(plan.document(plan.find(case, 0))["truth"]["k0"].removesuffix(" g")) for case in range(50)]
+    values = [float(plan.document(find(plan, case, 0))["truth"]["k0"].removesuffix(" g")) for case in range(50)]
     assert low <= min(values) <= max(values) <= high
     assert len(set(values)) == (1 if "normal" in entry else 2 if "choice" in entry else 50)
     if "log" in entry:
@@ -69,7 +72,7 @@ def test_distributions(tmp_path, entry, low, high):
 
 def test_seeds_are_those_of_the_seed_sequence(tmp_path):
     plan = read_campaign(written(tmp_path))
-    record = plan.find(1, 3)
+    record = find(plan, 1, 3)
     own = np.random.SeedSequence(7, spawn_key=(1, 3)).generate_state(1, np.uint64)[0]
     assert plan.seed_of(record) == int(own) >> 1
     seeds = {plan.seed_of(plan.record(n)) for n in range(17)}

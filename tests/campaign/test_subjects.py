@@ -8,7 +8,7 @@ import piga
 from piga.campaign import collect, document, open_campaign, read_campaign
 from piga.campaign.subjects import compute
 from piga.cli.main import app
-from tests.campaign.small import ROOT, STAND, collected, computed, rows, written
+from tests.campaign.small import ROOT, STAND, collected, computed, find, rows, written
 
 EXAMPLES = ROOT / "examples" / "campaigns"
 CAMPAIGN = """
@@ -41,7 +41,7 @@ def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     row = rows(tmp_path / "out")[4]
     assert (row["case"], row["repeat"]) == (1, 1)
     plan = read_campaign(path)
-    seed = plan.seed_of(plan.find(1, 1))
+    seed = plan.seed_of(find(plan, 1, 1))
     app(
         ["simulate", str(tmp_path / "stand.toml"), "--out", str(tmp_path / "sim"), "--seed", str(seed)],
         standalone_mode=False,
@@ -55,7 +55,7 @@ def test_a_record_of_a_stand_is_simulate_and_calibrate(tmp_path, capsys):
     assert row["truth"] == [truth[name] for name in row["name"]]
     capsys.readouterr()
     where = tmp_path / "again"
-    words = ["campaign", "repeat", str(path), "--case", "1", "--repeat", "1", "--out", str(where), "--json"]
+    words = ["campaign", "repeat", str(path), "--record", "4", "--out", str(where), "--json"]
     app(words, standalone_mode=False)
     command = json.loads(capsys.readouterr().out)["commands"].partition(";")[0]
     assert command == f"piga simulate {where / 'scenario.toml'} --out DIR"
@@ -69,7 +69,7 @@ def test_what_a_calibration_reports_is_counted(tmp_path):
     """Kinds of noise, and terms that are suggested."""
     written(tmp_path, STAND.replace('k0 = "3e-4 g"', 'k0 = "3e-4 g"\nm_Y = "1000 arcsec"'), "stand.toml")
     plan = read_campaign(written(tmp_path, CAMPAIGN))
-    seen = compute(plan, plan.find(0, 0)).seen
+    seen = compute(plan, find(plan, 0, 0)).seen
     assert "random walk" in seen
     assert any(name.startswith("suggested: ") for name in seen)
 

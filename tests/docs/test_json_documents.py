@@ -40,7 +40,7 @@ campaign plan small.toml --out many
 campaign run small.toml --out many --workers 1
 campaign status many
 campaign collect many
-campaign repeat small.toml --case 0 --repeat 1 --out again
+campaign repeat small.toml --record 1 --out again
 records add lab/tumble-a.toml --store s.sqlite --operator A --reason B
 calibrate lab/tumble-a.toml --terms scale_factor,k0 --out fewer
 records add lab/tumble-a.toml --results fewer --store s.sqlite --operator A --reason B --measured 2026-11-20 --supersedes 1

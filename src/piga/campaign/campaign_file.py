@@ -149,21 +149,12 @@ class CampaignPlan:
 
     def record(self, number: int) -> RecordName:
         """A record by its number."""
+        if not 0 <= number < self.records:
+            remedy = f"they count from 0 to {self.records - 1}"
+            raise RunFileError(f"{self.path}: there is no record {number}", remedy=remedy)
         group = self.groups[bisect.bisect_right(self.groups, number, key=lambda group: group.start) - 1]
         design, repeat = divmod(number - group.start, group.repeats)
         return RecordName(number, group, group.first + design, repeat)
-
-    def find(self, case: int, repeat: int) -> RecordName:
-        """A record by case and repeat."""
-        for group in self.groups:
-            if group.first <= case < group.first + group.designs and 0 <= repeat < group.repeats:
-                return RecordName(
-                    group.start + (case - group.first) * group.repeats + repeat, group, case, repeat
-                )
-        raise RunFileError(
-            f"{self.path}: there is no record of case {case}, repeat {repeat}",
-            remedy=f"cases count from 0 to {sum(g.designs for g in self.groups) - 1}, repeats from 0",
-        )
 
     def document(self, record: RecordName) -> dict[str, Any]:
         """The scenario of a record: the file with the values of the case, of the grid and of the draw."""

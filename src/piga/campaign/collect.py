@@ -122,8 +122,6 @@ class _WorstCase(msgspec.Struct, frozen=True):
     """A coefficient of one record far from its truth: error over standard uncertainty, and the command that repeats it."""
 
     record: int
-    case: int
-    repeat: int
     group: str
     coefficient: str
     z: float
@@ -327,19 +325,17 @@ def _misses(groups: tuple[GroupResult, ...]) -> tuple[Miss, ...]:
     return tuple(sorted(misses, key=lambda miss: -abs(miss.standard_errors)))
 
 
-def _repeat_command(campaign: Campaign, case: int, repeat: int) -> str:
-    name = shlex.quote(campaign.plan.path.name)
-    return f"piga campaign repeat {name} --case {case} --repeat {repeat} --out DIR"
+def _repeat_command(campaign: Campaign, record: int) -> str:
+    return f"piga campaign repeat {shlex.quote(campaign.plan.path.name)} --record {record} --out DIR"
 
 
 def _worst(campaign: Campaign, rows: pa.Table, z: Array) -> list[_WorstCase]:
     cases = []
-    for at in np.argsort(-np.abs(z), kind="stable")[:WORST]:
+    for at in np.argsort(-np.abs(z), kind="stable")[:WORST].tolist():
         if z[at] != 0.0:
-            record = campaign.plan.record(rows.column("record")[int(at)].as_py())
-            place = (record.number, record.case, record.repeat, record.group.label)
-            command = _repeat_command(campaign, record.case, record.repeat)
-            cases.append(_WorstCase(*place, rows.column("name")[int(at)].as_py(), float(z[at]), command))
+            number, name = (rows.column(column)[at].as_py() for column in ("record", "name"))
+            label, command = campaign.plan.record(number).group.label, _repeat_command(campaign, number)
+            cases.append(_WorstCase(number, label, name, float(z[at]), command))
     return cases
 
 
@@ -348,9 +344,10 @@ def _failures(campaign: Campaign, heads: list[Row]) -> list[_Failure]:
     for head in heads:
         if head["error_class"]:
             of_class.setdefault(head["error_class"], []).append(head)
-    failures = []
-    for name, (first, *more) in of_class.items():
-        record = campaign.plan.record(first["record"])
-        command = _repeat_command(campaign, record.case, record.repeat)
-        failures.append(_Failure(name, 1 + len(more), record.number, first["error"] or "", command))
+    failures = [
+        _Failure(
+            name, len(them), them[0]["record"], them[0]["error"], _repeat_command(campaign, them[0]["record"])
+        )
+        for name, them in of_class.items()
+    ]
     return sorted(failures, key=lambda failure: (-failure.records, failure.error_class))

@@ -227,9 +227,10 @@ def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
     return [head, *rows]
 
 
-def _part_schema() -> pa.Schema:
-    """Columns of a part. Rows without a name are records, the others their coefficients."""
+def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> None:
+    """Write a part. Rows without a name are records, the others their coefficients."""
     import pyarrow as pa
+    from pyarrow import parquet
 
     whole, number, text = pa.int64(), pa.float64(), pa.string()
     types = {
@@ -238,17 +239,9 @@ def _part_schema() -> pa.Schema:
         "error_class": text, "error": text, "nees": number, "nees_expected": number, "seen": pa.list_(text),
         "seconds": number,
     }  # fmt: skip
-    return pa.schema(list(types.items()))
-
-
-def _write_part(campaign: Campaign, shard: int, rows: list[dict[str, Any]]) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    schema = _part_schema()
-    columns = [pa.array([row.get(f.name) for row in rows], f.type, from_pandas=True) for f in schema]
     sink = pa.BufferOutputStream()
-    parquet.write_table(pa.Table.from_arrays(columns, schema=schema), sink, compression="zstd")
+    table = pa.Table.from_pylist(rows, schema=pa.schema(list(types.items())))
+    parquet.write_table(table, sink, compression="zstd")
     content = sink.getvalue().to_pybytes()
     write_whole(
         campaign.folder / _PARTS / campaign.part_name(shard, content),

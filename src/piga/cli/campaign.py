@@ -160,8 +160,7 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
 @app.command()
 def repeat(
     campaign: File,
-    case: Annotated[int, option("N", "Number of the case, from 0.", min=0)],
-    repeat: Annotated[int, option("N", "Number of the repeat, from 0.", min=0)],
+    record: Annotated[int, option("N", "Number of the record, from 0.", min=0)],
     out: Annotated[Path, option("DIR", "Folder for the scenario of the record.")],
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -174,17 +173,17 @@ def repeat(
     from piga.campaign.subjects import scenario_text
 
     planned = read_campaign(campaign)
-    record = planned.find(case, repeat)
+    chosen = planned.record(record)
     with deliver(
         out, "campaign-repeat", ("scenario.toml",), files_named_in(campaign), force=force, as_json=as_json
     ) as to:
-        write_text(to / "scenario.toml", scenario_text(planned, record))
-        place = {"record": record.number, "case": case, "repeat": repeat, "group": record.group.label}
-        made = f"piga simulate {shlex.quote(str((to.folder or out) / 'scenario.toml'))} --out DIR"
-        commands = f"{made}; piga calibrate DIR/run.toml"
-        if record.group.subject == "platform":
-            commands = made.replace("simulate", "platform compare")
-        to.tell(lambda: place | {"commands": commands}, lambda: f"compute it with: {commands}")
+        write_text(to / "scenario.toml", scenario_text(planned, chosen))
+        scenario = f"{shlex.quote(str((to.folder or out) / 'scenario.toml'))} --out DIR"
+        commands = f"piga simulate {scenario}; piga calibrate DIR/run.toml"
+        if chosen.group.subject == "platform":
+            commands = f"piga platform compare {scenario}"
+        document = {"record": record, "group": chosen.group.label, "commands": commands}
+        to.tell(lambda: document, lambda: f"compute it with: {commands}")
 
 
 def _command(name: str, campaign: Path, out: Path, *more: str) -> str:
