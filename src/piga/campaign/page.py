@@ -1,4 +1,4 @@
-"""The page and the text of a collected campaign: coverage, bias, variance over the bound, NEES, worst cases, failures."""
+"""The page and the text of a collected campaign: coverage, bias, NEES, worst cases, failures."""
 
 from __future__ import annotations
 
