@@ -16,14 +16,9 @@ from piga.calibration.model_choice import compare_models
 from piga.calibration.orders import residual_angles
 from piga.calibration.remarks.advice import advise, looks_wrong
 from piga.calibration.remarks.creep import creep_in_words, creep_of_runs
-from piga.calibration.remarks.left_out import (
-    CUBIC_SOURCE,
-    DAMPING_SOURCE,
-    LACKING_SOURCE,
-    LeftOut,
-)
+from piga.calibration.remarks.left_out import LeftOut
 from piga.calibration.remarks.leverage import find_leverage
-from piga.calibration.remarks.missing_terms import Candidates, suggest_terms, suggestions_in_words
+from piga.calibration.remarks.missing_terms import CUBIC, Candidates, suggest_terms, suggestions_in_words
 from piga.calibration.residuals import (
     diagnose,
     find_residuals,
@@ -279,22 +274,13 @@ def _suggested(
 ) -> tuple[tuple[float, str], ...]:
     """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
     also = "; the scatter of the segments may be the same effect" if scattered else ""
-    sources = [doubt.source for doubt in doubts]
-    if LACKING_SOURCE in sources:
-        missing = tuple(entry for entry in missing if not {*SERVO_TERMS, "k3"} & {*entry.terms})
-    words = suggestions_in_words(missing, held=CUBIC_SOURCE in sources, turned=DAMPING_SOURCE in sources)
-    said = {CUBIC_SOURCE} if any(entry.scale_factor_under for entry in missing) else set()
-    said |= {DAMPING_SOURCE} if any(entry.terms == ("servo_damping",) for entry in missing) else set()
+    lacking = [(doubt.largest_shift(coefficients), doubt.words) for doubt in doubts if doubt.words]
+    if lacking:
+        missing = tuple(entry for entry in missing if not {*SERVO_TERMS, *CUBIC} & {*entry.terms})
+    words = suggestions_in_words(missing)
     # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
     shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
-    return (
-        *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)),
-        *(
-            (doubt.largest_shift(coefficients), doubt.words)
-            for doubt in doubts
-            if doubt.words and doubt.source not in said
-        ),
-    )
+    return (*lacking, *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)))
 
 
 def _with_sentences(result: Calibration, sentences: Iterable[tuple[float, str]]) -> Calibration:

@@ -71,10 +71,8 @@ def levels(sizes=(-10.0, -8.0, 8.0, 10.0), across=1.0):
     return G0 * np.array([[size, 0.0, across] for size in sizes])
 
 
-MEANING = "meaning of the cubic signature: servo or k3"
 UNNAMED = "servo that is not named"
 SERVO_LEFT = "servo terms that the model lacks"
-DAMPING_LEFT = "servo damping that the model lacks"
 """Rows of a budget."""
 
 

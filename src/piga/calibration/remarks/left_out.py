@@ -1,31 +1,22 @@
 """Effect of servo terms that the model does not contain, as sources of Type B.
 
-If ``a_x^2 + a_t^2 = N`` is constant, ``a_x a_t^2 = N a_x - a_x^3``. A servo
-of finite stiffness and a third-order coefficient then fit the record alike, and the scale factor of one model is ``1 + k3 N``
-times that of the other. If this signature is clear and neither term is requested, or only ``k3``, the difference is a source. The
-damping of the float under the servo turns the phase; if its wave is clear, the change by it is a source too
-(docs/understanding/servo). A servo that is not named and not clear is in the budget up to the size that the record does not
-exclude. Several runs may separate what one stand cannot. Then the better term is suggested like any other.
+A servo that the records show is covered by the change of the coefficients in a fit with its terms. If ``a_x^2 + a_t^2 = N`` is
+constant, ``a_x a_t^2 = N a_x - a_x^3``: a servo of finite stiffness and a third-order coefficient then fit the records alike, and
+the scale factors of both models differ by ``k3 N``; both are covered (docs/understanding/servo). A servo that is not named and not
+clear is in the budget up to the size that the records do not exclude.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from piga.calibration.joint import JointFit
 from piga.calibration.model.design import STIFFNESS_COLUMNS
-from piga.calibration.remarks.missing_terms import (
-    CUBIC,
-    Candidates,
-    CandidateTest,
-    either_in_words,
-    held_terms,
-    size_in_words,
-    values_of,
-)
+from piga.calibration.remarks.missing_terms import Candidates, held_terms, values_of
 from piga.calibration.sources import across_squared
 from piga.records.arrays import spans
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor
@@ -33,9 +24,7 @@ from piga.records.terms import GYRO, SERVO_TERMS, si_factor
 from piga.results import Array
 
 _CLEAR = 0.01
-"""Probability of a signature of the servo by chance, below which it enters the budget."""
-_SEEN = 2.0
-"""Ratio of a requested k3 to its standard uncertainty above which its other meaning is reported."""
+"""Probability that a record without a servo gets one into its budget, Bonferroni over the tests."""
 _NEGLIGIBLE = 1e-9
 """Relative change of K by the softest servo below which none is listed."""
 _SOFTEST = 1e-4
@@ -43,8 +32,6 @@ _SOFTEST = 1e-4
 _ONE_SIDED = 1.645
 """Standard uncertainties up to a one-sided 95 % limit."""
 
-CUBIC_SOURCE = "meaning of the cubic signature: servo or k3"
-DAMPING_SOURCE = "servo damping that the model lacks"
 LACKING_SOURCE = "servo terms that the model lacks"
 _UNNAMED_SOURCE = "servo that is not named"
 """Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
@@ -57,7 +44,7 @@ class LeftOut:
     """A signature of the servo that no term of the model absorbs.
 
     ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
-    empty if the signature is not clear by itself. ``listed`` is its place among the sources of the stand.
+    empty if it is not clear. ``listed`` is its place among the sources of the stand.
     """
 
     source: str
@@ -82,64 +69,57 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
         return ()
     waived = any(s.name == "servo" and s.status == "waived" for one in fit.summaries for s in one.stand_sources)
     scaled = "scale_factor" in held and "scale_factor" not in fit.wish.per_run
-    named = "servo" in held or ("k3" in held and square is not None) or not scaled
-    unnamed = () if named or waived else _unnamed(fit, candidates)
-    if "tan_beta" not in held:
-        return unnamed
-    without_servo = not {*SERVO_TERMS} & held
-    together = _together(fit, candidates) if scaled and without_servo else ()
-    if together:
-        return together
-    asked = _asked_cube(coefficients, square) if square is not None and without_servo and not waived else ()
-    cube = square is not None and scaled and not {*CUBIC} & held
-    damping = "servo_damping" not in held and all(len(summary.labels) == 1 for summary in fit.summaries)
-    cubic = candidates.test(("k3",)) if cube else None
-    doubts: list[LeftOut] = []
-    if cubic is not None and cubic.probability <= _CLEAR:
-        moved, size = candidates.moved(cubic), float(cubic.size[0]) / si_factor("k3")
-        under, names = candidates.under(cubic, moved), [c.name for c in coefficients]
-        change = np.where(np.array(names) == "phi", 0.0, moved)
-        at = names.index("scale_factor")
-        change[at] = max((value - coefficients[at].value for value in under.values()), key=abs)
-        words = f"the residuals contain a cube of a_x ({size:.3g} g/g^3): {either_in_words(under, held=True)}"
-        doubts.append(LeftOut(CUBIC_SOURCE, change, words))
-    clear = ("k3",) if doubts else ()
-    wave = candidates.test(("servo_damping",), clear) if damping else None
-    if wave is not None and (doubts or asked or wave.probability <= _CLEAR):
-        # the wave turns with the phase that it moves: a linear step is not enough
-        whole = candidates.refit((*clear, "servo_damping"))
-        if whole is not None:
-            doubts.append(_damped(coefficients, candidates.moved(wave), whole, wave))
-    covered = any(doubt.source == CUBIC_SOURCE for doubt in doubts)
-    return (*doubts, *asked, *(() if covered else unnamed))
+    lacking = _lacking(fit, candidates) if scaled and "tan_beta" in held else ()
+    if waived or not scaled or "servo" in held or (lacking and "servo" in candidates.order):
+        return lacking
+    return (
+        *lacking,
+        *(_asked_cube(coefficients, square) if square and "k3" in held else _unnamed(fit, candidates)),
+    )
 
 
-def _together(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
-    """Both terms of the servo, if several runs show both: each alone may fit badly, because the damping turns the phases."""
-    if fit.only or candidates.squares[0] is not None or not {*SERVO_TERMS} <= {*candidates.order}:
+def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """The terms of the servo, if a fit with them shows one, or ``k3`` may be one: it has a damping, too, that turns the phases.
+
+    The half-width is the change in that fit, and by what its standard uncertainty is larger.
+    """
+    turned = all(len(summary.labels) == 1 for summary in fit.summaries)
+    names = tuple(n for n in SERVO_TERMS if n in candidates.order and (turned or n == "servo"))
+    wider = next((found for own in (names, names[:1]) if own and (found := candidates.refit(own))), {})
+    sizes = [wider[name] for name in names if name in wider]
+    own, square = fit.coefficients, candidates.squares[0]
+    shown, cube = _are_clear(sizes), square is not None and _are_clear([c for c in own if c.name == "k3"])
+    if not sizes or not (shown or cube):
         return ()
-    wider = candidates.refit(SERVO_TERMS)
-    pair = [wider[name] for name in SERVO_TERMS] if wider else []
-    if wider is None or any(
-        abs(c.value) < coverage_factor(c.degrees_of_freedom, 1.0 - _CLEAR) * c.std for c in pair
-    ):
-        return ()
-    sizes = ", ".join(size_in_words(c.key, c.value, c.std, c.unit) for c in pair)
+    change = changes(own, values_of(own), values_of([wider[c.key] for c in own]))
+    change += np.copysign([math.sqrt(max(wider[c.key].std ** 2 - c.std**2, 0.0)) for c in own], change)
     moved = ", ".join(
         f"{c.key} {wider[c.key].value:.8g} instead of {c.value:.8g} {c.unit}".removesuffix(" 1")
-        for c in fit.coefficients
-        if c.name in ("scale_factor", "tan_beta")
+        for c in own
+        if c.name in ("scale_factor", "tan_beta", "phi")
     )
+    if square is not None and "servo" in (c.name for c in sizes):
+        by_k3 = wider["scale_factor"].value * (1.0 - wider["servo"].value * si_factor("servo") * square)
+        at = [c.key for c in own].index("scale_factor")
+        change[at] = max(change[at], by_k3 - own[at].value, key=abs)
+        moved += (
+            f" (with k3 in place of servo: {by_k3:.8g}; a run on a centrifuge, calibrated together, decides)"
+        )
     words = (
-        f"the runs together show {sizes}, which the model lacks; with it they give {moved}. The uncertainties cover "
-        "this shift. Add 'servo' and 'servo_damping' to [model] terms if it makes sense"
+        f"the residuals show {', '.join(map(_in_words, sizes))}, which the model lacks; with it: {moved}. The uncertainties "
+        f"cover this shift. Add {' and '.join(repr(c.key) for c in sizes)} to [model] terms"
     )
-    return (LeftOut(LACKING_SOURCE, _to(fit.coefficients, wider), words),)
+    return (LeftOut(LACKING_SOURCE, change, words if shown else ""),)
 
 
-def _to(coefficients: tuple[Coefficient, ...], wider: dict[str, Coefficient]) -> Array:
-    """Change of the coefficients to those of a fit with more terms."""
-    return changes(coefficients, values_of(coefficients), values_of([wider[c.key] for c in coefficients]))
+def _are_clear(sizes: Sequence[Coefficient]) -> bool:
+    """True if one of these is not zero by chance."""
+    share = 1.0 - _CLEAR / max(len(sizes), 1)
+    return any(abs(c.value) > coverage_factor(c.degrees_of_freedom, share) * c.std for c in sizes)
+
+
+def _in_words(c: Coefficient) -> str:
+    return f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}"
 
 
 def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
@@ -204,34 +184,4 @@ def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[L
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    if abs(k3.value) <= _SEEN * k3.std:
-        return (_bounded(moved, k3.value, k3.std),)
-    both = {"servo": scale.value + shift, "k3": scale.value}
-    return (
-        LeftOut(CUBIC_SOURCE, moved, f"k3 may be the effect of the servo: {either_in_words(both, held=True)}"),
-    )
-
-
-def _damped(
-    coefficients: tuple[Coefficient, ...], moved: Array, whole: dict[str, Coefficient], wave: CandidateTest
-) -> LeftOut:
-    """A wave of ``servo_damping`` that is missing in the model.
-
-    It is examined if it is clear, or if a clear cube shows that the servo yields. A damping is then expected. The changes of phi
-    and tan_beta are those of the ``whole`` fit, counted from the reported values, which may have other weights. One standard
-    uncertainty of the damping is added to its size.
-    """
-    damping, std = (float(own[0]) / si_factor("servo_damping") for own in (wave.size, wave.std))
-    change = np.where([c.name in _TURNED for c in coefficients], _to(coefficients, whole), moved)
-    turned = ", ".join(
-        f"{c.key} by {1e3 * step:.3g} mrad"
-        for c, step in zip(coefficients, change, strict=True)
-        if c.name == "phi"
-    )
-    words = (
-        "the residuals contain a wave of the gimbal angle that grows with the square of a_x "
-        f"(servo_damping = {damping:.3g} g/g^3): its effect turns {turned}, and the uncertainties "
-        "cover this. Add 'servo_damping' to [model] terms to take it out"
-    )
-    clear = wave.probability <= _CLEAR
-    return LeftOut(DAMPING_SOURCE, change * (1.0 + std / abs(damping)), words if clear else "")
+    return (_bounded(moved, k3.value, k3.std),)

@@ -212,7 +212,7 @@ class Candidates:
         wish = replace(self.fit.wish, terms=(*self.fit.wish.terms, *names))
         try:
             fit = merge_runs(wish, self.summaries, [None] * len(self.fit.live))
-        except (CalibrationError, IdentifiabilityError):
+        except (CalibrationError, IdentifiabilityError, np.linalg.LinAlgError):
             return None
         pairs = zip(fit.coefficients, fit.degrees.tolist(), strict=True)
         return {c.key: replace(c, degrees_of_freedom=own) for c, own in pairs}
@@ -223,16 +223,6 @@ class Candidates:
         whole = np.zeros(fit.layout.size + fit.estimate.phases.size)
         whole[self.common] = test.change[: len(self.common)]
         return fit.moved(whole)
-
-    def under(self, test: CandidateTest, moved: Array) -> dict[str, float]:
-        """K with each meaning of a cubic signature: they differ by the coefficient times ``a_x^2 + a_t^2``; else empty."""
-        pairs = zip(self.fit.coefficients, moved.tolist(), strict=True)
-        square, after = self.squares[0], {c.key: c.value + change for c, change in pairs}
-        if square is None or "scale_factor" not in after or test.names[0] not in CUBIC[:2]:
-            return {}
-        scale, ratio = after["scale_factor"], float(test.size[0]) * square
-        both = (scale, scale * (1.0 - ratio)) if test.names == ("servo",) else (scale * (1.0 + ratio), scale)
-        return dict(zip(CUBIC[:2], both, strict=True))
 
 
 def held_terms(fit: JointFit) -> set[str]:
@@ -343,9 +333,7 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
         best = next((t for t in worth if t.names == (likelier,) and t.fall > share * best.fall), best)
         alike = [t for t in tests if t is not best and t.fall > _ALIKE * best.fall]
         names = tuple(", ".join(_terms_of(t.names)) for t in alike)
-        suggestions.append(
-            _suggestion(best, *shifts[best.names], names, candidates.under(best, moved[best.names]))
-        )
+        suggestions.append(_suggestion(best, *shifts[best.names], names))
         beside = (*beside, *best.names)
         taken = CUBIC[:2] if square is not None and best.names[0] in CUBIC[:2] else best.names
         left = [names for names in left if names != best.names and names[0] not in taken]
@@ -381,9 +369,7 @@ def values_of(coefficients: Iterable[Coefficient]) -> Array:
     return np.array([c.value for c in coefficients])
 
 
-def _suggestion(
-    test: CandidateTest, shift: float, coefficient: str, alike: Names, under: dict[str, float]
-) -> MissingTerm:
+def _suggestion(test: CandidateTest, shift: float, coefficient: str, alike: Names) -> MissingTerm:
     terms, size, std = _terms_of(test.names), test.size, test.std
     if test.names == ("p", "q"):
         size, std = np.array([math.hypot(*size)]), std[:1]
@@ -398,26 +384,16 @@ def _suggestion(
         largest_shift=shift,
         coefficient=coefficient,
         alike=alike,
-        scale_factor_under=under,
     )
 
 
-def suggestions_in_words(
-    suggestions: tuple[MissingTerm, ...], *, held: bool = False, turned: bool = False
-) -> tuple[str, ...]:
-    """One sentence for each suggestion.
-
-    ``held``, ``turned``: both meanings of a cube, and what ``servo_damping`` would change, are in the budget.
-    """
+def suggestions_in_words(suggestions: tuple[MissingTerm, ...]) -> tuple[str, ...]:
+    """One sentence for each suggestion."""
     notes = []
     for entry in suggestions:
         each = zip(entry.terms, entry.estimate, entry.standard_uncertainty, entry.unit, strict=True)
-        sizes = ", ".join(size_in_words(*own) for own in each)
+        sizes = ", ".join(f"{n} = {v:.3g} +/- {u:.1g} {unit}".removesuffix(" 1") for n, v, u, unit in each)
         meaning = f"; {', '.join(entry.alike)} would explain nearly as much" if entry.alike else ""
-        if entry.scale_factor_under:
-            meaning += f"; {either_in_words(entry.scale_factor_under, held=held)}"
-        if turned and entry.terms == ("servo_damping",):
-            meaning += "; the uncertainties cover this shift"
         notes.append(
             f"the residuals have the signature of a missing term: {sizes} would lower their sum of squares by "
             f"{_two_digits(100.0 * entry.chi2_fall)} % and move {entry.coefficient} by {_two_digits(entry.largest_shift)} "
@@ -426,24 +402,6 @@ def suggestions_in_words(
     return tuple(notes)
 
 
-def size_in_words(name: str, value: float, std: float, unit: str) -> str:
-    """A size with its standard uncertainty."""
-    return f"{name} = {value:.3g} +/- {std:.1g} {unit}".removesuffix(" 1")
-
-
 def _two_digits(value: float) -> str:
     """Two digits without a power of ten: 0.93, 12, 340."""
     return f"{value:.2g}" if abs(value) < 99.5 else f"{float(f'{value:.2g}'):.0f}"
-
-
-def either_in_words(under: dict[str, float], *, held: bool) -> str:
-    """Both meanings of a cube; ``held``: the uncertainty of K covers both."""
-    named = " and ".join(f"{value:.8g} with {name}" for name, value in under.items())
-    ppm = 1e6 * (under["servo"] / under["k3"] - 1.0)
-    return (
-        "a_x^2 + a_t^2 never changes here, so no record of this stand can separate servo from k3: scale_factor is "
-        f"{named} {unit_of('scale_factor')} ({ppm:+.3g} ppm), a choice of meaning"
-        + (", and its uncertainty covers both" if held else "")
-        + "; every servo has a finite stiffness ('servo', and 'servo_damping' with it), and a run on a centrifuge, "
-        "calibrated together with this one, or [instrument] servo decides"
-    )

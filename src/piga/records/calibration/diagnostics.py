@@ -183,8 +183,6 @@ class MissingTerm(Result):
         Largest change of a coefficient, in its standard uncertainties, and the name of that coefficient.
     alike:
         Other candidates that explain nearly as much.
-    scale_factor_under:
-        Scale factor by the name that a cubic signature is given; empty for other terms.
     """
 
     terms: tuple[str, ...]
@@ -196,7 +194,6 @@ class MissingTerm(Result):
     largest_shift: Number
     coefficient: str
     alike: tuple[str, ...] = ()
-    scale_factor_under: dict[str, Number] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -145,7 +145,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     plain: dict[str, Any] = msgspec.to_builtins(document, enc_hook=float)
     for key, entries in (
         ("sensitivities", plain["uncertainty_budget"]),
-        ("scale_factor_under", plain["diagnostics"].get("missing_terms", ())),
         ("turns", plain["segments"] if c.direct else ()),
     ):
         for entry in entries:
