@@ -245,18 +245,24 @@ CASES = {
 }
 
 
+def test_a_stated_scatter_is_no_slow_change() -> None:
+    """Positions in order widen the interval of a bias where they scatter; not by what is set anew at each position."""
+    case = CASES["head-coarse-setting"]
+    runs = [case.record(np.random.default_rng([seed, 1906])) for seed in range(4)]
+    stated = [piga.calibrate(run, TERMS)["k0"].std for run in runs]
+    alone = [piga.calibrate(replace(run, uncertainty=at_rest()), TERMS)["k0"].std for run in runs]
+    assert np.mean(stated) < 0.7 * np.mean(alone)
+
+
 @pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_intervals_of_records_with_stated_repeatability_hold(name: str) -> None:
-    """300 records: at least 93 % of all coefficients together, no coefficient below 91 %.
-
-    Positions go in order here: the factor of the order makes intervals wide where the scatter is far above the noise (99 %).
-    """
+    """300 records: 93 to 98 % of all coefficients together, no coefficient below 91 %."""
     case, held = CASES[name], []
     for seed in range(300):
         calibration = case.scenario.calibrate(case.record(np.random.default_rng([seed, 1906])))
         half = np.array([c.expanded for c in calibration.coefficients])
         held.append(np.abs(case.scenario.errors(calibration)) <= half)
-    assert 0.93 <= np.mean(held) <= 0.995
+    assert 0.93 <= np.mean(held) <= 0.98
     assert np.mean(held, axis=0).min() >= 0.91

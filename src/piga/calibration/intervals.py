@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from piga.calibration.model.reduction import Reduction, solve_upper, triangle
 from piga.calibration.model.solution import Estimate, Layout
+from piga.calibration.weights import rate_share
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Level, Number
 from piga.results import Array
@@ -45,9 +46,8 @@ class Repetition:
     """One position: a repetition of the measurement.
 
     ``part`` is its triangle ``[columns of its phase group | rate | y]`` of whitened rows, without scatter. ``variance`` is that
-    of its rate. ``begin`` and ``end`` [s] are its times. ``run`` is the number of its run; slow changes connect positions of
-    one run only.
-    ``block``: it is a part of a continuous record.
+    of its rate, and ``stated`` the part of it that the run file states. ``begin`` and ``end`` [s] are its times. ``run`` is the
+    number of its run; slow changes connect positions of one run only. ``block``: it is a part of a continuous record.
     """
 
     part: Reduction
@@ -58,6 +58,7 @@ class Repetition:
     end: Number
     run: int = 0
     block: bool = False
+    stated: Level = 0.0
 
 
 @dataclass(frozen=True)
@@ -260,11 +261,14 @@ def _between_runs(
 def _order(rows: Sequence[Array], repetitions: Sequence[Repetition]) -> tuple[float, float, Array | None]:
     """Excess scatter of the rates, its probability by chance, and the factor by a slow change of the rates.
 
-    The factor is None where the order does not matter: blocks of one record, or too few positions.
+    A scatter that the run file states is new at each position: it is in the weights here, and no excess. The factor is None
+    where the order does not matter: blocks of one record, or too few positions.
     """
     from scipy.special import fdtrc
 
     p = rows[0].shape[1] - 2
+    pairs = [(part, part[:, p], r.stated) for part, r in zip(rows, repetitions, strict=True)]
+    rows = [part - rate_share(own, b @ b) * np.outer(b, b @ part) for part, b, own in pairs]
     inverse = inverse_root(rows, p)
     x = [part[:, :p] @ inverse for part in rows]
     unit = np.array([part[:, p] @ part[:, p] for part in rows])

@@ -145,8 +145,10 @@ class RunTriangles:
     def weighted(self, noise: Noise) -> Self:
         """The triangles with the variances of the rates that these levels give."""
         variances = noise.rate_variances(len(self.positions)).tolist()
-        positions = zip(self.positions, variances, strict=True)
-        return replace(self, noise=noise, positions=tuple(replace(p, variance=v) for p, v in positions))
+        stated = noise.stated or (0.0,) * len(variances)
+        positions = zip(self.positions, variances, stated, strict=True)
+        held = tuple(replace(p, variance=own, stated=known) for p, own, known in positions)
+        return replace(self, noise=noise, positions=held)
 
     @property
     def count(self) -> int:
@@ -185,12 +187,20 @@ def repetitions(
     if positions.continuous:
         names = [f"{k + 1} of {positions.count}" for k in range(positions.count)]
     variances = noise.rate_variances(positions.count).tolist()
-    columns = zip(parts, positions.segments.tolist(), variances, names, begin, end, strict=True)
+    stated = noise.stated or (0.0,) * positions.count
+    columns = zip(parts, positions.segments.tolist(), variances, names, begin, end, stated, strict=True)
     return tuple(
         Repetition(
-            part, design.groups[segment], variance, name, float(t0), float(t1), block=positions.continuous
+            part,
+            design.groups[segment],
+            variance,
+            name,
+            float(t0),
+            float(t1),
+            block=positions.continuous,
+            stated=known,
         )
-        for part, segment, variance, name, t0, t1 in columns
+        for part, segment, variance, name, t0, t1, known in columns
     )
 
 
