@@ -93,7 +93,11 @@ def run(command: list[str]) -> int:
 def together(commands: list[list[str]]) -> None:
     """Run commands at the same time; stop with the exit code of the first that fails."""
     processes = [start(command) for command in commands]
-    for code in [process.wait() for process in processes]:
+    try:
+        codes = [process.wait() for process in processes]
+    except KeyboardInterrupt:  # the commands have it, too
+        codes = [process.wait() for process in processes] + [130]
+    for code in codes:
         if code:
             sys.exit(code)
 

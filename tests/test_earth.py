@@ -10,6 +10,7 @@ import pytest
 
 from piga import earth
 from piga.earth import Site, normal_gravity
+from piga.errors import ArgumentError
 
 
 def exact_gravity(pole: bool, height: float) -> float:
@@ -82,3 +83,10 @@ def test_site() -> None:
     assert (north, down) == pytest.approx(
         (7.292115e-5 * math.cos(math.radians(40)), -7.292115e-5 * math.sin(math.radians(40))), rel=1e-15
     )
+
+
+@pytest.mark.parametrize("latitude", [48.0, math.radians(-91.0), math.nan])
+def test_a_latitude_beyond_a_pole_is_refused(latitude: float) -> None:
+    with pytest.raises(ArgumentError, match="is beyond a pole"):
+        Site(latitude)
+    assert Site(-0.5 * math.pi).local_gravity == pytest.approx(9.8321849, abs=1e-6)

@@ -43,7 +43,7 @@ def test_values(text: str | float, like: str, value: float) -> None:
     ("text", "like", "message"),
     [
         ("5", "s", "has no unit"),
-        (2.5, "rad", 'write its unit; piga 0.2 took it as "2.5 rad"'),
+        (2.5, "rad", 'write its unit, e.g. deg; piga 0.2 took it as "2.5 rad"'),
         (0.8884, "rad/s/g", 'piga 0.2 took it as "0.8884 rad/s/g"'),
         (0.0, "K", "has no unit"),
         (1e-5, "ppm", "has no unit"),

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.errors import ArgumentError
+
 SEMI_MAJOR_AXIS = 6378137.0
 """WGS-84 equatorial radius a [m]."""
 FLATTENING = 1.0 / 298.257223563
@@ -56,6 +58,13 @@ class Site:
     longitude: float = 0.0
     height: float = 0.0
     gravity: float | None = None
+
+    def __post_init__(self) -> None:
+        if not abs(self.latitude) <= 0.5 * math.pi + 1e-9:
+            raise ArgumentError(
+                f"latitude: {math.degrees(self.latitude):.6g} deg is beyond a pole",
+                remedy="write it with its unit: latitude = '48 deg'",
+            )
 
     @property
     def local_gravity(self) -> float:

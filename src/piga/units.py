@@ -248,7 +248,7 @@ def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> floa
 def _without_unit(what: str, number: str, like: str) -> UnitError:
     return UnitError(
         f"{what}: {number} has no unit",
-        remedy=f'write its unit; piga 0.2 took it as "{number} {like}"',
+        remedy=f'write its unit{", e.g. deg" if like == "rad" else ""}; piga 0.2 took it as "{number} {like}"',
     )
 
 

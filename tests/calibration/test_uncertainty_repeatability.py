@@ -227,6 +227,13 @@ def test_a_summary_keeps_its_draws(pair: list[piga.Run], tmp_path: Path) -> None
 # --- other stands, refusals
 
 
+@pytest.mark.parametrize("key", ["levelling", "angle_error", "angle_repeatability"])
+def test_a_negative_uncertainty_of_a_stand_is_refused(record: piga.Run, key: str) -> None:
+    wrong = replace(record, source="a.toml", uncertainty=at_rest(**{key: "-0.3 arcsec"}))
+    with pytest.raises(RunFileError, match=rf"\[uncertainty\] {key}: '-0.3 arcsec' is negative"):
+        piga.calibrate(wrong, TERMS)
+
+
 def test_a_stand_refuses_what_it_does_not_repeat(record: piga.Run) -> None:
     wrong = replace(record, source="a.toml", uncertainty=at_rest(rate_repeatability="1 ppm"))
     with pytest.raises(RunFileError, match=r"rate_repeatability does not exist on a dividing-head") as refused:

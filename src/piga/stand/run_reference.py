@@ -142,6 +142,10 @@ def stand_changes(run: Run) -> Iterator[StandChange]:
                 )
             standard, shape = _standard(name, error, written)
             for suffix, value, part in _components(error, standard):
+                if float(str(value).partition(" ")[0]) < 0.0:
+                    raise ArgumentError(
+                        f"[uncertainty] {name}: '{value}' is negative", remedy="give a standard uncertainty"
+                    )
                 errors = imperfections({error: part}, where="[uncertainty]")
                 errors.require(stand.accepted, stand.kind, "[uncertainty]")
                 change = partial(_change, stand, t, errors)
@@ -237,7 +241,8 @@ def _in_order(
         raise ArgumentError(
             f"[stand] has {len(planned)} positions or levels, the record has {len(labels)} segments "
             f"({', '.join(labels[:_MOST_NAMED])}{more})",
-            remedy="give them in order, positions = ['0 deg', ...], or by name, positions = { 'label' = 'angle', ... }",
+            remedy="give them in order, positions = ['0 deg', ...], or by name, positions = { 'label' = 'angle', ... }; "
+            "or correct [instrument] counts_per_revolution or scale_factor: if they are wrong, a count looks lost",
         )
     return list(planned)
 

@@ -81,7 +81,7 @@ def test_a_wrong_unit_of_the_reference_is_named_with_the_right_one(good, factor,
     ("factor", "words"),
     [
         (-1.0, "with the output negative"),
-        (-1.0, "change the sign of the output"),
+        (-1.0, "direction = -1 in [data] output"),
         (DEGREES, "the output divided by 57.2958: in [data] output unit = 'deg' where it says 'rad'"),
         (1 / DEGREES, "the output multiplied by 57.2958: in [data] output unit = 'rad' where it says 'deg'"),
         (3600.0, "the output divided by 3600: in [data] output unit = 'arcsec' where it says 'deg'"),

@@ -156,7 +156,8 @@ def _check_record(run: Run, request: Request) -> None:
         raise CalibrationError(
             "phase 'shared' is not possible: the zero of the output angle is lost at segment "
             f"'{run.labels[at]}': {why}",
-            remedy="set phases = 'per-segment' (run file [model], or --phases per-segment)",
+            remedy="set phases = 'per-segment' (run file [model], or --phases per-segment), or correct [instrument] "
+            "counts_per_revolution or scale_factor if they are wrong",
         )
     if request.phase_source == "input" and request.phases != "shared":
         raise CalibrationError(

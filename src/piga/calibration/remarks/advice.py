@@ -90,7 +90,8 @@ class _Reading:
         negative = " and ".join(AXES[place] for place, sign in enumerate(self.signs) if sign < 0)
         for name in (negative, "the output" if self.output < 0.0 else ""):
             if name:
-                change = f"change the sign of {name} in the data file"
+                of_output = "set direction = -1 in [data] output"
+                change = of_output if name == "the output" else f"change the sign of {name} in the data file"
                 found.append((f"{name} negative", change))
         if self.output > 0.0 and self.output != 1.0:
             size, larger = max(self.output, 1.0 / self.output), self.output < 1.0
@@ -213,10 +214,10 @@ def _scale_words(reading: _Reading, readings: list[_Reading], run: Run) -> tuple
     as_good = [one.output for one in readings if one.residual <= _AS_GOOD * reading.residual]
     sentences: tuple[str, ...] = ()
     if reading.scale < 0.0:
-        what = "X0 of the reference or the output has" if -1.0 in as_good else "X0 of the reference has"
-        sentences = (
-            f"the scale factor comes out negative: {what} the wrong sign; change it in the data file; not applied",
-        )
+        what, change = "X0 of the reference", "change it in the data file"
+        if -1.0 in as_good:
+            what, change = f"{what} or the output", f"{change}, or set direction = -1 in [data] output"
+        sentences = (f"the scale factor comes out negative: {what} has the wrong sign; {change}; not applied",)
     ratio = abs(reading.scale)
     factor = _factor_near(ratio, counted=run.resolution > 0.0) if ratio > 0.0 else None
     if factor is None:
