@@ -155,7 +155,7 @@ def _tested(fit: JointFit, parts: list[_RunResiduals], kind: str) -> Diagnostics
     tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges)
     if parts:
         innovations = [part.residuals.innovation for part in parts]
-        rounded = all(is_rounded(live.run, live.fit.noise) for live in fit.live if live)
+        rounded = any(is_rounded(live.run, live.fit.noise) for live in fit.live if live)
         tests = diagnose(innovations, tests, rounded=rounded)
     return tests
 

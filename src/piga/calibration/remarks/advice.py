@@ -23,14 +23,14 @@ from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
 from piga.errors import DataError, PigaError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.verdict import COUNTED, scale_over_nominal
+from piga.records.calibration.verdict import scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
 from piga.units import UNIT_FACTORS, UnitFactor
 
 _FAR_BETTER = 3.0
-"""Ratio of residuals above which another reading is advised; scatter of the segments above which one is looked for."""
+"""Ratio of residuals above which another reading is advised."""
 _AS_GOOD = 1.2
 """Ratio of residuals up to which readings cannot be separated."""
 _OFF = 2.0
@@ -157,11 +157,9 @@ def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> st
 def looks_wrong(result: Calibration) -> bool:
     """True if other readings should be tried for a finished calibration.
 
-    The scale factor is far from the nominal one, the residuals are not white, or the segments scatter.
+    The scale factor is far from the nominal one, or the residuals correlate: also those that rounding may correlate.
     """
-    tests = result.diagnostics
-    white = tests.verdict in (None, "white") or (tests.verdict == COUNTED and tests.worst < _FAR_BETTER)
-    return not (white and _likely(scale_over_nominal(result)))
+    return result.diagnostics.verdict not in (None, "white") or not _likely(scale_over_nominal(result))
 
 
 def _likely(scale: float) -> bool:

@@ -9,14 +9,13 @@ clear is in the budget up to the size that the records do not exclude.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga.calibration.joint import JointFit
 from piga.calibration.model.design import STIFFNESS_COLUMNS
-from piga.calibration.remarks.missing_terms import Candidates, held_terms, values_of
+from piga.calibration.remarks.missing_terms import FEWEST, Candidates, held_terms, values_of
 from piga.calibration.sources import across_squared
 from piga.records.arrays import spans
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor
@@ -69,7 +68,9 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
         return ()
     waived = any(s.name == "servo" and s.status == "waived" for one in fit.summaries for s in one.stand_sources)
     scaled = "scale_factor" in held and "scale_factor" not in fit.wish.per_run
-    lacking = _lacking(fit, candidates) if scaled and "tan_beta" in held else ()
+    lacking = (
+        _lacking(fit, candidates) if scaled and "tan_beta" in held and not _is_hidden(fit, candidates) else ()
+    )
     if waived or not scaled or "servo" in held or (lacking and "servo" in candidates.order):
         return lacking
     return (
@@ -78,25 +79,30 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
     )
 
 
+def _is_hidden(fit: JointFit, candidates: Candidates) -> bool:
+    """True if phases of the segments of one run, on a stand that is no head, let its damping pass for its stiffness."""
+    return fit.only is not None and candidates.squares[0] is None and _has_own_phases(fit)
+
+
 def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     """The terms of the servo, if a fit with them shows one, or ``k3`` may be one: it has a damping, too, that turns the phases.
 
     The half-width is the change in that fit, and by what its standard uncertainty is larger.
     """
-    turned = all(len(summary.labels) == 1 for summary in fit.summaries)
-    names = tuple(n for n in SERVO_TERMS if n in candidates.order and (turned or n == "servo"))
+    one_phase = not _has_own_phases(fit)
+    names = tuple(n for n in SERVO_TERMS if n in candidates.order and (one_phase or n == "servo"))
     wider = next((found for own in (names, names[:1]) if own and (found := candidates.refit(own))), {})
     sizes = [wider[name] for name in names if name in wider]
     own, square = fit.coefficients, candidates.squares[0]
-    shown, cube = _are_clear(sizes), square is not None and _are_clear([c for c in own if c.name == "k3"])
-    if not sizes or not (shown or cube):
+    shown = [c for c in sizes if _is_clear(c, len(sizes))]
+    if not sizes or not (shown or (square is not None and any(_is_clear(c) for c in own if c.name == "k3"))):
         return ()
     change = changes(own, values_of(own), values_of([wider[c.key] for c in own]))
     change += np.copysign([math.sqrt(max(wider[c.key].std ** 2 - c.std**2, 0.0)) for c in own], change)
     moved = ", ".join(
         f"{c.key} {wider[c.key].value:.8g} instead of {c.value:.8g} {c.unit}".removesuffix(" 1")
         for c in own
-        if c.name in ("scale_factor", "tan_beta", "phi")
+        if c.name in ("scale_factor", "tan_beta", "phi") and c.segment is None
     )
     if square is not None and "servo" in (c.name for c in sizes):
         by_k3 = wider["scale_factor"].value * (1.0 - wider["servo"].value * si_factor("servo") * square)
@@ -106,16 +112,21 @@ def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
             f" (with k3 in place of servo: {by_k3:.8g}; a run on a centrifuge, calibrated together, decides)"
         )
     words = (
-        f"the residuals show {', '.join(map(_in_words, sizes))}, which the model lacks; with it: {moved}. The uncertainties "
-        f"cover this shift. Add {' and '.join(repr(c.key) for c in sizes)} to [model] terms"
+        f"the residuals show {', '.join(map(_in_words, shown))}, which the model lacks; with it: {moved}. The uncertainties "
+        f"cover this shift. Add {' and '.join(map(repr, SERVO_TERMS if one_phase else names))} to [model] terms"
     )
     return (LeftOut(LACKING_SOURCE, change, words if shown else ""),)
 
 
-def _are_clear(sizes: Sequence[Coefficient]) -> bool:
-    """True if one of these is not zero by chance."""
-    share = 1.0 - _CLEAR / max(len(sizes), 1)
-    return any(abs(c.value) > coverage_factor(c.degrees_of_freedom, share) * c.std for c in sizes)
+def _has_own_phases(fit: JointFit) -> bool:
+    """True if the segments of a run have phases of their own, which take up a damping."""
+    return any(len(summary.labels) > 1 for summary in fit.summaries)
+
+
+def _is_clear(c: Coefficient, tests: int = 1) -> bool:
+    """True if it is not zero by chance, one of so many ``tests``."""
+    factor = coverage_factor(max(c.degrees_of_freedom, FEWEST), 1.0 - _CLEAR / tests)
+    return abs(c.value) > factor * c.std
 
 
 def _in_words(c: Coefficient) -> str:
@@ -134,7 +145,7 @@ def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
         return ()
     names = ("servo",) if square is None else ("servo", "k3")
     name = next((name for name in names if name in candidates.order), None)
-    if name is None:
+    if name is None or _is_hidden(fit, candidates):
         listed = StandSource("servo", "unstated", "ug/g^3")
         return (LeftOut(_UNNAMED_SOURCE, nothing, "", listed),) if fit.only else ()
     test, of_scale = candidates.test((name,)), np.array([c.name == "scale_factor" for c in coefficients])
@@ -184,4 +195,13 @@ def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[L
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    return (_bounded(moved, k3.value, k3.std),)
+    bounded = _bounded(moved, k3.value, k3.std)
+    covered = (
+        f"k3 may be the effect of the servo: scale_factor is {scale.value + shift:.8g} with servo and {scale.value:.8g} with k3 "
+        f"{scale.unit}, and its uncertainty covers both; a run on a centrifuge, calibrated together, decides"
+    )
+    status = "unstated" if bounded.listed is None else bounded.listed.status
+    listed = StandSource(
+        "servo", status, reason="not named, and not told from k3 here: what k3 shows is covered"
+    )
+    return (replace(bounded, words=covered if _is_clear(k3) else "", listed=listed),)

@@ -52,7 +52,7 @@ _PIECES = 24
 """Parts of a record of few segments, for the scatter between parts."""
 _SPARE = 3
 """Segments beyond the number of parameters above which the scatter between segments is used."""
-_FEWEST = 4
+FEWEST = 4
 """Fewest degrees of freedom of this scatter."""
 _CONSTANT = 1e-3
 """Largest relative change of a squared force that counts as constant."""
@@ -283,7 +283,7 @@ def tested(
     own, z, rest = R[m : m + q, m : m + q], R[m : m + q, -1], float(R[m + q, -1] ** 2)
     if np.linalg.svd(own, compute_uv=False)[-1] < _CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
-    fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, _FEWEST)
+    fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, FEWEST)
     if freedom < 1 or fall + rest == 0.0:
         return None
     variance, inverse = rest / freedom, solve_upper(own, np.eye(q))
