@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -83,3 +85,15 @@ def test_triad_file(tmp_path, monkeypatch, capsys):
     ]  # fmt: skip
     for name, value in (("fx", 1.0), ("fy", 3.0), ("fz", 1.0)):
         assert np.abs(table.column(name).to_numpy()[1:] - value * G0).max() < 1e-9 * G0
+
+
+def test_a_phase_of_another_record_is_named(tmp_path, monkeypatch, capsys):
+    """A new power-up has another zero of the output, and nothing in the log shows it."""
+    words = (write(tmp_path), "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.csv", "--force")
+    assert "the phase of the calibration is used" in command(monkeypatch, capsys, *words)[2]
+    phase = calibration_of({"tan_beta": TAN_BETA, "phi": 0.1}, serial="A")
+    digest = hashlib.sha256((tmp_path / "run.parquet").read_bytes()).hexdigest()
+    known = replace(phase.provenance, input_sha256={"run.parquet": digest})
+    replace(phase, provenance=known).to_json(tmp_path / "run.json")
+    code, _, text = command(monkeypatch, capsys, *words)
+    assert (code, "the phase of the calibration is used" in text) == (0, False)

@@ -44,6 +44,20 @@ def log(path: Path, *names: list[str]) -> Path:
     return path
 
 
+def test_the_place_of_the_laboratory_is_read_from_the_head_of_a_log(tmp_path: Path) -> None:
+    head = (
+        ["Breite: 48 Grad"],
+        ["Höhe: 500 m"],
+        ["Zeit [s]", "Zähler [Impulse]", "Kopfwinkel [Grad]", "Temperatur [°C]"],
+    )
+    draft = draft_run_file(describe_log(log(tmp_path / "log.csv", *head)), SETTINGS)
+    assert {key: draft.document["stand"][key] for key in ("latitude", "height")} == {
+        "latitude": "48 Grad",
+        "height": "500 m",
+    }
+    assert not draft.optional
+
+
 @pytest.mark.parametrize("kind", ["csv", "xlsx", "h5"])
 def test_a_column_is_told_on_the_command_line(tmp_path: Path, kind: str) -> None:
     path = log(tmp_path / f"log.{kind}", ["Zeit", "Zähler", "Kanal 4", "Kanal 5"])

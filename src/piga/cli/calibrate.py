@@ -331,6 +331,12 @@ class _Solved(NamedTuple):
     page: Callable[[dict[str, str]], Page]
 
 
+def _is_another_record(record: Run, calibration: Calibration) -> bool:
+    """True if no data file of the record was calibrated."""
+    data = {digest for file, digest in record.input_sha256.items() if not file.endswith(".toml")}
+    return not data & {*calibration.provenance.input_sha256.values()}
+
+
 def _single(
     run: Path,
     sources: list[tuple[str, str]],
@@ -352,6 +358,11 @@ def _single(
     if rest is not None:
         phase = identify_phase(record, calibration, rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
+    elif phase is None and not calibration.direct and _is_another_record(record, calibration):
+        note(
+            "the phase of the calibration is used: right if the output still counts from the same zero; "
+            "after a new power-up use --identify-phase '60 s'"
+        )
     with progress("compensating", record.size) as advance:
         result = compensate_run(record, calibration, method=method, phase=phase, progress=advance, **arguments)
 

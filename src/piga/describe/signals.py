@@ -371,9 +371,11 @@ def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, va
         draft.put("stand.down", False, "the list holds the levels up and down as they were run")
         draft.put_fact(log.facts, "stand.radius", "m")
     put_in = draft.document["stand"]
-    if "height" not in put_in and "gravity" not in put_in and "stand.gravity" not in log.facts:
+    known = {"height", "gravity"} & {*put_in} or {"stand.height", "stand.gravity"} & {*log.facts}
+    if not known:
         draft.comments["stand.kind"].append(HEIGHT)
     draft.put_fact(log.facts, "stand.latitude", "deg")
+    draft.put_fact(log.facts, "stand.height", "m")
     draft.put_fact(log.facts, "stand.gravity", "m/s^2")
 
 
