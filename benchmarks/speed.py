@@ -540,7 +540,7 @@ def fill(path: Path, count: int, whole: dict[str, Any], small: dict[str, Any]) -
             )
             day = dt.date(2000, 1, 1) + dt.timedelta(days=number % 3000)
             draft = Draft(serial, "A. Meyer", f"number {number}", files, measured=str(day))
-            store.append(lambda _, draft=draft: draft)
+            store.append(draft)
 
 
 TASKS = (motion, platform, calibration, compensation, reading, memory, ledger)

@@ -61,15 +61,20 @@ def write_run(folder: Path, seed: int) -> Path:
 def build(folder: Path) -> None:
     """A calibration, its amendment, a large file, and a record taken over from another store."""
     with piga.open_store("other.sqlite", create=True) as other:
-        prepare_run(write_run(Path(), 3), "C. Wang 王", "another bench", report=False).keep(other)
+        other.append(prepare_run(write_run(Path(), 3), "C. Wang 王", "another bench", report=False))
         export_records(other, Path("other.zip"))
     with piga.open_store(folder / "store.sqlite", create=True) as store:
         made = prepare_run(write_run(Path(), 1), "A. Meyer", "first", measured="2026-11-20", report=False)
-        first = made.keep(store)
-        prepare_run(
-            write_run(Path(), 2), "B. Kühn", "the table was not level", measured="2026-11-20T10:00:00+01:00",
-            supersedes=first.id, method="rate", report=False,
-        ).keep(store)  # fmt: skip
+        first = store.append(made)
+        write_run(Path(), 2).write_text(
+            RUN.format(file="run-2.csv") + '[estimation]\nmethod = "rate"\n', newline="\n"
+        )
+        store.append(
+            prepare_run(
+                Path("run-2.toml"), "B. Kühn", "the table was not level", measured="2026-11-20T10:00:00+01:00",
+                supersedes=first.id, report=False,
+            )
+        )  # fmt: skip
         large = b"".join(f"{k % 500},0.125\n".encode() for k in range(150_000))
         files = (
             DraftFile("data", "log/large.csv", large),
