@@ -29,7 +29,8 @@ def test_what_rounding_correlates_is_not_tested_and_no_doubt() -> None:
     assert tests.ljung_box_probability < 1e-9
     assert tests.verdict == COUNTED
     assert not tests.advice
-    assert any("as rounding to whole counts can make them" in held for held in calibration.verdict.tested)
+    assert any("rounding to whole counts can correlate them" in said for said in calibration.verdict.not_tested)
+    assert not any("correlate" in held for held in calibration.verdict.tested)
     assert not any("correlate" in doubt.what for doubt in calibration.verdict.doubts)
 
 

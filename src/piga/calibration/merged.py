@@ -145,8 +145,7 @@ class RunTriangles:
     def weighted(self, noise: Noise) -> Self:
         """The triangles with the variances of the rates that these levels give."""
         variances = noise.rate_variances(len(self.positions)).tolist()
-        stated = noise.stated or (0.0,) * len(variances)
-        positions = zip(self.positions, variances, stated, strict=True)
+        positions = zip(self.positions, variances, noise.stated_rates(len(variances)), strict=True)
         held = tuple(replace(p, variance=own, stated=known) for p, own, known in positions)
         return replace(self, noise=noise, positions=held)
 
@@ -187,7 +186,7 @@ def repetitions(
     if positions.continuous:
         names = [f"{k + 1} of {positions.count}" for k in range(positions.count)]
     variances = noise.rate_variances(positions.count).tolist()
-    stated = noise.stated or (0.0,) * positions.count
+    stated = noise.stated_rates(positions.count)
     columns = zip(parts, positions.segments.tolist(), variances, names, begin, end, stated, strict=True)
     return tuple(
         Repetition(

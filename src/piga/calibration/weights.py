@@ -61,11 +61,14 @@ class Noise:
         """Standard deviation of the rate from position to position [rad/s]."""
         return math.sqrt(self.scatter)
 
+    def stated_rates(self, count: int) -> tuple[float, ...]:
+        """The part of :meth:`rate_variances` that the run file states."""
+        return self.stated or (0.0,) * count
+
     def rate_variances(self, count: int) -> Array:
         """Variance of the rate of each of ``count`` positions [rad^2/s^2]."""
-        stated = np.array(self.stated) if self.stated else np.zeros(count)
         counted = np.array(self.counted) if self.counted else np.zeros(count)
-        return stated + counted + self.scatter
+        return np.array(self.stated_rates(count)) + counted + self.scatter
 
     def of_rows(self, design: Design) -> Noise:
         """The levels of the rows of a design, which may be means of samples."""

@@ -358,7 +358,7 @@ def _single(
     if rest is not None:
         phase = identify_phase(record, calibration, rest)
         note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-    elif phase is None and not calibration.direct and _is_another_record(record, calibration):
+    elif phase is None and "tan_beta" in calibration.terms and _is_another_record(record, calibration):
         note(
             "the phase of the calibration is used: right if the output still counts from the same zero; "
             "after a new power-up use --identify-phase '60 s'"

@@ -18,7 +18,7 @@ from piga.calibration.model.design import STIFFNESS_COLUMNS
 from piga.calibration.remarks.missing_terms import FEWEST, Candidates, held_terms, values_of
 from piga.calibration.sources import across_squared
 from piga.records.arrays import spans
-from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor
+from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor, rounded
 from piga.records.terms import GYRO, SERVO_TERMS, si_factor
 from piga.results import Array
 
@@ -100,7 +100,7 @@ def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     change = changes(own, values_of(own), values_of([wider[c.key] for c in own]))
     change += np.copysign([math.sqrt(max(wider[c.key].std ** 2 - c.std**2, 0.0)) for c in own], change)
     moved = ", ".join(
-        f"{c.key} {wider[c.key].value:.8g} instead of {c.value:.8g} {c.unit}".removesuffix(" 1")
+        f"{c.key} {rounded(wider[c.key])} instead of {rounded(c)} {c.unit}".removesuffix(" 1")
         for c in own
         if c.name in ("scale_factor", "tan_beta", "phi") and c.segment is None
     )
@@ -160,15 +160,18 @@ def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     return (_bounded(moved, float(test.size[0]) / unit, std),)
 
 
-def _bounded(shift: Array, size: float, std: float) -> LeftOut:
-    """A servo that is not named: ``size`` with ``std`` [g/g^3] by the records; ``shift`` is what ``size`` changes."""
+def _bounded(shift: Array, size: float, std: float, why: str = "") -> LeftOut:
+    """A servo that is not named: ``size`` with ``std`` [g/g^3] by the records; ``shift`` is what ``size`` changes.
+
+    ``why``: words in place of those on the limit.
+    """
     limit = max(size, 0.0) + _ONE_SIDED * std
     words = (
         f"not named: the record excludes more than {1e6 * limit:.2g} ug/g^3"
         if limit < _SOFTEST
         else f"not named, and the record hardly tells it from K: up to {1e6 * _SOFTEST:.0f} ug/g^3 are assumed"
     )
-    listed = StandSource("servo", "bounded" if limit < _SOFTEST else "assumed", reason=words)
+    listed = StandSource("servo", "bounded" if limit < _SOFTEST else "assumed", reason=why or words)
     return LeftOut(_UNNAMED_SOURCE, shift * (min(limit, _SOFTEST) / size), "", listed)
 
 
@@ -195,13 +198,11 @@ def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[L
         return ()
     shift = scale.value * k3.value * si_factor("k3") * square
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
-    bounded = _bounded(moved, k3.value, k3.std)
+    bounded = _bounded(
+        moved, k3.value, k3.std, "not named, and not told from k3 here: what k3 shows is covered"
+    )
     covered = (
         f"k3 may be the effect of the servo: scale_factor is {scale.value + shift:.8g} with servo and {scale.value:.8g} with k3 "
         f"{scale.unit}, and its uncertainty covers both; a run on a centrifuge, calibrated together, decides"
     )
-    status = "unstated" if bounded.listed is None else bounded.listed.status
-    listed = StandSource(
-        "servo", status, reason="not named, and not told from k3 here: what k3 shows is covered"
-    )
-    return (replace(bounded, words=covered if _is_clear(k3) else "", listed=listed),)
+    return (replace(bounded, words=covered if _is_clear(k3) else ""),)

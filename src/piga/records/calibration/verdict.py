@@ -20,6 +20,7 @@ Grade = Literal["clear", "doubt", "do not use"]
 
 COUNTED = "not tested: rounding to whole counts correlates"
 """Verdict on whitened residuals that rounding can correlate. The others are ``white`` and ``not white: ...``."""
+_TO_TEST = "sample at another rate, or take other angles or levels"
 
 
 WELL_SEPARATED, SEPARATED = 1e3, 1e6
@@ -193,14 +194,14 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         what, remedy = f"the whitened residuals are not white {tested}", "look for suggested terms"
         if tests.verdict == COUNTED:
             what = f"the whitened residuals correlate {tested}, as rounding to whole counts can make them"
-            remedy = "sample at another rate, or take other angles or levels, to test them"
+            remedy = _TO_TEST
         elif not calibration.direct:
             remedy = "look for lines in the residuals by revolution order, and for suggested terms"
         if within and abs(neighbours) > _CORRELATED:
             size = math.sqrt((1.0 + abs(neighbours)) / max(1.0 - abs(neighbours), 1e-3))
             small = f"intervals from the noise within one position are about {size:.2g} times too small"
             yield Doubt(f"{what}: {small}", remedy)
-        else:
+        elif tests.verdict != COUNTED:
             yield f"{what}: {contained}; {remedy}"
     size_words = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
     if abs(rms - 1.0) <= _RMS_FROM_ONE:
@@ -301,3 +302,5 @@ def _not_tested(calibration: Calibration) -> Iterator[str]:
         yield "a creep after each move"
     if calibration.diagnostics.verdict is None:
         yield "the whiteness of the residuals"
+    if calibration.diagnostics.verdict == COUNTED:
+        yield f"the whiteness of the residuals: rounding to whole counts can correlate them. To test it, {_TO_TEST}"
