@@ -25,8 +25,6 @@ from piga.records.terms import SERVO_TERMS, meaning_of
 from piga.records.text_files import read_toml
 from piga.units import to_si, written_quantity
 
-_MASKED = 0.05
-"""Largest share of masked rows for which a certificate is issued, unless the file allows more."""
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]
 WORST: tuple[Status, ...] = ("pass", "conditionalPass", "conditionalFail", "fail")
 """Conformity verdicts; the worst is last."""
@@ -41,7 +39,8 @@ _RANGES = {
 class CertificateTable(TomlTable, frozen=True):
     """``[certificate]``: its unique number, date of issue, and what it replaces.
 
-    If ``issued`` is missing, ``piga certificate`` sets today's date. In Python it must be set.
+    If ``issued`` is missing, ``piga certificate`` sets today's date. In Python it must be set. With more masked rows than
+    ``largest_masked_share`` no certificate is issued.
     """
 
     number: str = ""
@@ -49,7 +48,7 @@ class CertificateTable(TomlTable, frozen=True):
     title: str = "Calibration certificate"
     replaces: str = ""
     amendment: str = ""
-    largest_masked_share: float = _MASKED
+    largest_masked_share: float = 0.05
 
 
 class PartyTable(TomlTable, frozen=True):

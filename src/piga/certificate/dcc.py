@@ -182,7 +182,7 @@ def _attachments(
 def read_dcc(path: str | Path) -> Calibration:
     """Read a certificate in XML, made by piga, back into a calibration. One that contradicts itself is refused."""
     path = Path(path)
-    return calibration_of(read_xml(path)[1], path)
+    return calibration_of(read_xml(path), path)
 
 
 def calibration_of(root: etree._Element, path: Path) -> Calibration:

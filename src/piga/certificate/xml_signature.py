@@ -25,14 +25,13 @@ MOST_XML_BYTES = 32 << 20
 """Largest XML file read [bytes]."""
 
 
-def read_xml(path: Path) -> tuple[bytes, etree._Element]:
-    """Bytes and root element of an XML file."""
-    raw = read_whole(path, MOST_XML_BYTES, "a certificate in XML")
-    return raw, parse_xml(raw, path)
+def read_xml(path: Path) -> etree._Element:
+    """Root element of an XML file."""
+    return parse_xml(read_whole(path, MOST_XML_BYTES, "a certificate in XML"), path)
 
 
 def parse_xml(raw: bytes, path: Path) -> etree._Element:
-    """Root element of XML bytes. Messages name ``path``. Errors as in :func:`read_xml`."""
+    """Root element of XML bytes. Messages name ``path``."""
     from lxml import etree
 
     if raw[:1] == b"\x30":
@@ -40,8 +39,6 @@ def parse_xml(raw: bytes, path: Path) -> etree._Element:
             f"{path}: is an envelope (CMS, PKCS #7), not XML: the certificate is inside it",
             remedy=f"take it out: openssl cms -verify -inform DER -in {path.name} -CAfile AUTHORITY.pem -out certificate.xml",
         )
-    if b"<!DOCTYPE" in raw:
-        raise _forbidden(path)
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False, huge_tree=False
     )
@@ -51,15 +48,11 @@ def parse_xml(raw: bytes, path: Path) -> etree._Element:
         raise DataError(f"{path}: not valid XML: {error}", remedy="get the file again") from None
     info = root.getroottree().docinfo
     if info.internalDTD is not None or info.doctype or any(node.tag is etree.Entity for node in root.iter()):
-        raise _forbidden(path)
+        raise DataError(
+            f"{path}: declares a document type, which a certificate does not need and which can hide attacks",
+            remedy="ask the issuer for the plain certificate",
+        )
     return root
-
-
-def _forbidden(path: Path) -> DataError:
-    return DataError(
-        f"{path}: declares a document type, which a certificate does not need and which can hide attacks",
-        remedy="ask the issuer for the plain certificate",
-    )
 
 
 _DS = "{http://www.w3.org/2000/09/xmldsig#}"
@@ -129,7 +122,7 @@ def verify_signature(path: Path, certificate: Path) -> _VerifiedSignature:
     Refused is one that is not signed, was changed, has another signer, one on a revocation list in the file, or whose signature
     does not cover the whole document.
     """
-    root = read_xml(path)[1]
+    root = read_xml(path)
     expected = load_certificate(certificate)
     if not len(root) or root[-1].tag != SIGNATURE:
         raise DataError(f"{path}: is not signed", remedy="ask the issuer for the signed certificate")

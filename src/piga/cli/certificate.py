@@ -203,7 +203,7 @@ def read(
     with deliver_file(out, "certificate-read", inputs, force=force) as to:
         day = _day(at)
         if certificate is None:
-            root = read_xml(file)[1]
+            root = read_xml(file)
             words = "not signed: anyone can have written it"
             if root.find(SIGNATURE) is not None:
                 words = "its signature was not verified (--certificate does)"
