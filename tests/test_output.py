@@ -15,7 +15,7 @@ import pytest
 from piga import output
 from piga.errors import ArgumentError, PigaError
 from piga.output import check_results, results
-from piga.records.text_files import files_named_in
+from piga.text_files import files_named_in
 from tests.cli.runner import outcome
 from tests.compensation.run_files import write
 

@@ -31,8 +31,8 @@ from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import METHOD_WORDS, RunFile
 from piga.records.terms import TERM_WORDS, UNITS
-from piga.records.text_files import si_unit, structs_in
 from piga.stand.scenario import ScenarioTable
+from piga.text_files import si_unit, structs_in
 
 EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"
 """Pages of code that use every public name of a room; a test runs them."""

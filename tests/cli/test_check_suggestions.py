@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.describe import suggestions
-from piga.records.text_files import toml_text
+from piga.text_files import toml_text
 from tests.cli.runner import invoked
 from tests.records.containers import columns, write_xlsx
 from tests.records.files import lines, psi_steps, write_log, write_run

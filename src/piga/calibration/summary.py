@@ -35,9 +35,9 @@ from piga.records.calibration.coefficient import Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS, check_name, harmonic, turns
-from piga.records.text_files import JsonError, converted, json_object, read_whole
 from piga.results import Array, Result
 from piga.terms import LOGGED_TERMS, TERMS
+from piga.text_files import JsonError, converted, json_object, read_whole
 from piga.threads import one_thread
 
 STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *LOGGED_TERMS))

@@ -21,8 +21,8 @@ from msgspec import Meta
 
 from piga.errors import ArgumentError, RunFileError, UnitError
 from piga.records.run_file import EstimationTable, ModelTable, Quantity, TomlTable, UncertaintyTable
-from piga.records.text_files import convert_table, convert_toml, read_toml, toml_bytes, toml_document
 from piga.stand.scenario import Scenario, ScenarioTable, scenario_of
+from piga.text_files import convert_table, convert_toml, read_toml, toml_bytes, toml_document
 from piga.units import written_quantity
 
 if TYPE_CHECKING:

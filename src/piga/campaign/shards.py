@@ -39,7 +39,7 @@ from piga.errors import ArgumentError, DataError, PigaError, needed
 from piga.output import write_whole
 from piga.progress import Progress
 from piga.progress import report as report_progress
-from piga.records.text_files import converted, first_line
+from piga.text_files import converted, first_line
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -15,9 +15,9 @@ import numpy as np
 from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.errors import PigaWarning
 from piga.records.calibration.coefficient import changes
-from piga.records.text_files import toml_text
 from piga.results import Array
 from piga.stand.scenario import Scenario, run_scenario
+from piga.text_files import toml_text
 
 if TYPE_CHECKING:
     from piga.platform.scenario import PlatformScenario

@@ -22,7 +22,7 @@ from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import TomlTable
 from piga.records.terms import SERVO_TERMS, meaning_of
-from piga.records.text_files import read_toml
+from piga.text_files import read_toml
 from piga.units import to_si, written_quantity
 
 Status = Literal["pass", "fail", "conditionalPass", "conditionalFail"]

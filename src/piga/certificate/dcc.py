@@ -38,7 +38,7 @@ from piga.errors import DataError, PigaWarning
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import PROBABILITY, Coefficient, joint_factor
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
-from piga.records.text_files import converted
+from piga.text_files import converted
 from piga.units import parse_unit
 
 if TYPE_CHECKING:

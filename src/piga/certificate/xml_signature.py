@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piga.errors import DataError
-from piga.records.text_files import read_whole
+from piga.text_files import read_whole
 
 if TYPE_CHECKING:
     from lxml import etree

@@ -68,7 +68,7 @@ def issue(
     from piga.output import check_results
     from piga.records.calibration.calibration import Calibration
     from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
-    from piga.records.text_files import read_whole
+    from piga.text_files import read_whole
 
     if (key is None) != (certificate is None):
         raise PigaError("--key and --certificate belong together", remedy="give both, or none")

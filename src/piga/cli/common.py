@@ -134,7 +134,7 @@ def tell(as_json: bool, document: Any, lines: Iterable[str]) -> None:
 
 def files_named_in(path: Path) -> list[Path]:
     """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
-    from piga.records.text_files import files_named_in
+    from piga.text_files import files_named_in
 
     return files_named_in(path)
 

@@ -254,7 +254,7 @@ def verify(
     """
     from piga.ledger.store.database import is_url
     from piga.ledger.store.transfer import verify as check
-    from piga.records.text_files import open_regular
+    from piga.text_files import open_regular
 
     where = str(archive) if archive is not None else store
     if where is None:

@@ -31,8 +31,8 @@ from piga.records.arrays import empty, spans
 from piga.records.calibration.calibration import Calibration
 from piga.records.run import Run, begins_stretch
 from piga.records.terms import harmonic
-from piga.records.text_files import LARGEST_SAMPLE
 from piga.results import Array
+from piga.text_files import LARGEST_SAMPLE
 
 _NONE, _NO_RATES = np.zeros(0), np.zeros((0, 3))
 

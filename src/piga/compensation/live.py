@@ -17,8 +17,8 @@ from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
-from piga.records.text_files import first_line
 from piga.results import number_column
+from piga.text_files import first_line
 
 FORCE = ("fx", "fy", "fz")
 RATE = ("wx", "wy", "wz")

@@ -30,9 +30,9 @@ from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import read_with_digest
 from piga.records.run import Run
 from piga.records.run_file import Quantity
-from piga.records.text_files import toml_bytes, toml_document
 from piga.results import Array, Result
 from piga.stand.run_reference import read_run
+from piga.text_files import toml_bytes, toml_document
 from piga.units import to_si
 
 _ORTHOGONAL = 1e-6

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from piga.describe.log import Guess
 from piga.errors import ArgumentError, UnitError
-from piga.records.text_files import si_unit, structs_in, toml_text, toml_value
+from piga.text_files import si_unit, structs_in, toml_text, toml_value
 from piga.units import to_si
 
 FILES: dict[str, tuple[str, str, str]] = {

@@ -44,8 +44,8 @@ from piga.formats.text.convention import (
 from piga.formats.text.reader import TextStream, is_number, split_cells
 from piga.formats.text.time_stamp import forms_of
 from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
-from piga.records.text_files import open_regular
 from piga.results import Array
+from piga.text_files import open_regular
 
 _MOST_LOG_ROWS = 2_000_000
 """Rows of a log whose values are examined."""

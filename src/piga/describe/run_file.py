@@ -22,9 +22,9 @@ from piga.describe.log import LogDescription
 from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
 from piga.errors import DataError, PigaError
 from piga.records.run import Run
-from piga.records.text_files import toml_document, toml_key, toml_text, toml_value
 from piga.results import Array
 from piga.stand.run_reference import read_run
+from piga.text_files import toml_document, toml_key, toml_text, toml_value
 from piga.units import parse_unit
 
 _MOST_DAMAGED = 0.01

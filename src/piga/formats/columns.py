@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from piga.errors import CalibrationError, DataError, Fix, Where
 from piga.records.calibration.diagnostics import Event
-from piga.records.text_files import first_line, open_regular, toml_text
 from piga.results import arrow_table
+from piga.text_files import first_line, open_regular, toml_text
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -36,8 +36,8 @@ from piga.records.run_file import (
     in_unit,
     is_set,
 )
-from piga.records.text_files import read_toml, toml_bytes, toml_document
 from piga.results import Array, Plotted, Reported, Result
+from piga.text_files import read_toml, toml_bytes, toml_document
 from piga.upper import doors
 
 if TYPE_CHECKING:

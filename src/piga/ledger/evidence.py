@@ -40,8 +40,8 @@ from piga.records.calibration.document import (
     to_document,
 )
 from piga.records.run_file import read_run_file
-from piga.records.text_files import read_whole
 from piga.results import Result
+from piga.text_files import read_whole
 from piga.units import numbers_are_si
 
 if TYPE_CHECKING:

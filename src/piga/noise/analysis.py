@@ -25,8 +25,8 @@ from piga.noise.deviations import (
 )
 from piga.records.run import examine_time
 from piga.records.run_file import DataTable
-from piga.records.text_files import converted
 from piga.results import Array, Plotted, Reported, Result
+from piga.text_files import converted
 from piga.upper import doors
 
 

@@ -40,11 +40,11 @@ from piga.planning.plan_file import PlanRequest
 from piga.planning.search import CheapestTest, Search, in_order
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
-from piga.records.text_files import toml_text
 from piga.results import Array, Plotted, Reported, Result, finite
 from piga.stand.machines import angles_of_range
 from piga.stand.profile import NONE
 from piga.stand.scenario import DividingHeadTable
+from piga.text_files import toml_text
 from piga.threads import one_thread
 from piga.units import G0
 from piga.upper import doors

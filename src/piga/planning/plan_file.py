@@ -16,7 +16,6 @@ from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.errors import PigaError, RunFileError, UnitError
 from piga.records.run_file import ModelTable, Quantity, Seconds, TomlTable, UncertaintyTable
 from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
-from piga.records.text_files import convert_table, read_toml
 from piga.results import Result
 from piga.stand.scenario import (
     CentrifugeTable,
@@ -32,6 +31,7 @@ from piga.stand.scenario import (
     scenario_of,
 )
 from piga.terms import LOGGED_TERMS
+from piga.text_files import convert_table, read_toml
 from piga.units import to_si
 
 _PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from piga.errors import ArgumentError, RunFileError, UnitError
 from piga.records.run_file import TomlTable, in_unit
-from piga.records.text_files import convert_toml, toml_document
+from piga.text_files import convert_toml, toml_document
 from piga.units import ARCSEC, G0, to_si
 
 Model = Literal["none", "A", "B", "C"]

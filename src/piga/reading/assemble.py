@@ -34,8 +34,8 @@ from piga.records.calibration.diagnostics import Quality
 from piga.records.run import Run, TimeBase, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
-from piga.records.text_files import toml_bytes
 from piga.results import Array
+from piga.text_files import toml_bytes
 from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 from piga.upper import doors
 

@@ -24,8 +24,8 @@ from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
-from piga.records.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular
 from piga.results import Array
+from piga.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular
 from piga.units import conversion_factor, parse_unit, to_si
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")

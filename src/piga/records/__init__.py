@@ -5,7 +5,7 @@ from piga.records.calibration.coefficient import Coefficient
 from piga.records.calibration.diagnostics import Event, Quality, Residuals, SegmentSummary
 from piga.records.run import Run
 from piga.records.run_file import RunFile, read_run_file
-from piga.records.text_files import read_toml
+from piga.text_files import read_toml
 
 __all__ = [
     "Calibration",

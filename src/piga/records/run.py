@@ -28,9 +28,9 @@ from piga.records.run_file import (
     refuse,
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
-from piga.records.text_files import convert_table
 from piga.results import Array, Column, Plotted, Reported, Result, Tabular
 from piga.terms import LOGGED_TERMS
+from piga.text_files import convert_table
 from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text
 from piga.upper import doors
 

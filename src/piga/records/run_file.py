@@ -18,7 +18,7 @@ import msgspec
 from piga.errors import DataError, RunFileError, UnitError
 from piga.output import check_results
 from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
-from piga.records.text_files import check_label, convert_toml, si_unit, toml_document
+from piga.text_files import check_label, convert_toml, si_unit, toml_document
 from piga.units import conversion_factor, parse_unit, to_si
 
 Quantity = str | float | int

@@ -40,10 +40,10 @@ from piga.records.run_file import (
     standard_uncertainty,
 )
 from piga.records.terms import GYRO
-from piga.records.text_files import convert_table, converted, explained
 from piga.results import Array, Result
 from piga.stand.profile import GENERAL, NONE, Imperfections, Segment, Stand, force_change, imperfections
 from piga.stand.scenario import CompositeTable, SimpleStand
+from piga.text_files import convert_table, converted, explained
 from piga.units import from_si
 
 _MOST_NAMED = 24

@@ -40,10 +40,10 @@ from piga.records.terms import (
     turns,
     unit_of,
 )
-from piga.records.text_files import read_toml
 from piga.stand import machines
 from piga.stand.profile import Composite, Imperfections, Stand, imperfections, read_profile
 from piga.stand.simulate import Model, SimulatedTest, Specimen, simulate_test
+from piga.text_files import read_toml
 from piga.units import to_si
 
 _Metres = Annotated[Quantity, in_unit("m")]

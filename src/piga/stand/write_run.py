@@ -22,11 +22,11 @@ from piga.instrument.twin.linear import (
     servo_terms,
 )
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
-from piga.records.text_files import toml_text
 from piga.results import label_column, number_column
 from piga.stand.profile import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
+from piga.text_files import toml_text
 from piga.units import G0, parse_unit
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from piga.describe.columns import UNITS, WORDS
 from piga.describe.draft import Question
 from piga.errors import ArgumentError, PigaError
 from piga.records.run_file import read_run_file
-from piga.records.text_files import toml_document
 from piga.reports.render.numbers import significant
+from piga.text_files import toml_document
 from piga.workbench.common import Field, Sent, bench_of, form, in_line, redirect, render
 from piga.workbench.folder import Folder
 from piga.workbench.record import left

@@ -27,7 +27,7 @@ from piga.reading.columns import TEXT_SUFFIXES, file_kind
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import calibration_from_bytes
 from piga.records.run_file import read_run_file
-from piga.records.text_files import MAX_NAME, files_named_in, texts_of, toml_document
+from piga.text_files import MAX_NAME, files_named_in, texts_of, toml_document
 from piga.units import G0
 
 _LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")

@@ -34,10 +34,10 @@ from piga.instrument import (
     regime,
     revolution_period,
 )
-from piga.records.text_files import toml_document, toml_text, toml_value
 from piga.reports import Page, Plot, Section, Tile, page_html
 from piga.reports.render.numbers import significant
 from piga.reports.stand import locking_figure
+from piga.text_files import toml_document, toml_text, toml_value
 from piga.units import G0, to_si
 from piga.workbench.common import (
     Bench,

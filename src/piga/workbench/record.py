@@ -25,8 +25,8 @@ from piga.output import put_in_place, write_whole
 from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
-from piga.records.text_files import files_named_in, toml_value
 from piga.reports.render.numbers import rounded
+from piga.text_files import files_named_in, toml_value
 from piga.workbench.common import (
     Bench,
     Sent,

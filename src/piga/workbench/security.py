@@ -24,7 +24,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from piga.errors import PigaError
-from piga.records.text_files import read_whole
+from piga.text_files import read_whole
 
 SESSION_AGE = 12 * 3600
 """Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""

@@ -23,7 +23,7 @@ from typing import Any
 from piga.errors import Fix, UnitError
 from piga.formats.columns import REMEDIES, column_letter, no_column, refusal
 from piga.formats.text.time_stamp import TimeStamp, forms_of
-from piga.records.text_files import open_regular
+from piga.text_files import open_regular
 from piga.units import parse_unit
 
 SNIFF_BYTES = 1 << 16

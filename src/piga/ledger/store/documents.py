@@ -21,8 +21,8 @@ from typing import Any, TypeVar
 import msgspec
 
 from piga.errors import ArgumentError, StoreError
-from piga.records.text_files import JsonError, check_label, converted, json_object, open_regular
 from piga.results import Result
+from piga.text_files import JsonError, check_label, converted, json_object, open_regular
 
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
 

@@ -38,7 +38,7 @@ from piga.ledger.store.documents import (
 from piga.output import write_whole
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
-from piga.records.text_files import open_regular
+from piga.text_files import open_regular
 
 if TYPE_CHECKING:
     import sqlalchemy as sa

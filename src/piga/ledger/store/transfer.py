@@ -42,7 +42,7 @@ from piga.ledger.store.documents import (
 from piga.ledger.store.store import Store
 from piga.output import write_whole
 from piga.progress import Progress, report
-from piga.records.text_files import JsonError, json_object, open_regular
+from piga.text_files import JsonError, json_object, open_regular
 
 _EXPORT = "piga.export/1"
 _MAX_MEMBERS = 1_000_000

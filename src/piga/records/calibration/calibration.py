@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from piga.errors import CalibrationError
+from piga._version import __version__
+from piga.errors import ArgumentError, CalibrationError
 from piga.records.calibration.coefficient import (
     NO_REFERENCE,
     OF_THE_MODEL,
@@ -24,7 +28,8 @@ from piga.records.calibration.coefficient import (
 )
 from piga.records.calibration.diagnostics import Count, Diagnostics, Outlier, Quality, Residuals, SegmentSummary
 from piga.records.calibration.verdict import Verdict, verdict
-from piga.records.terms import GYRO, integral_unit
+from piga.records.run_file import check_direct_unit
+from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, unit_of
 from piga.results import (
     Array,
     ByValue,
@@ -37,6 +42,7 @@ from piga.results import (
     first_lines,
     shortened,
 )
+from piga.units import from_si, numbers_are_si, to_si
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -46,6 +52,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from piga.instrument.parameters import ErrorModel, Instrument
+
+
+class At(NamedTuple):
+    """Place of a field in ``calibration.json``: its section (None: not in the file), key if not its name, and unit.
+
+    Where there is a unit, the file states value and unit.
+    """
+
+    section: str | None = ""
+    key: str = ""
+    unit: str = ""
 
 
 _SHOWN, _DOUBTS = 5, 3
@@ -133,40 +150,40 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     a direct instrument. Its residuals and noise are in this unit, or in the unit of its count.
     """
 
-    serial: str
-    scale_factor_nominal: Level
-    terms: tuple[str, ...]
-    phases: str = "shared"
-    phase_source: str = "output"
-    method: str
+    serial: Annotated[str, At("instrument")]
+    scale_factor_nominal: Annotated[Level, At("instrument", unit="{output}/g")]
+    scale_factor_tolerance: Annotated[Level, At("instrument")] = 0.01
+    terms: Annotated[tuple[str, ...], At("model")]
+    method: Annotated[str, At("model")]
+    phases: Annotated[str, At("model", "phase")] = "shared"
+    phase_source: Annotated[str, At("model")] = "output"
+    temperature_reference: Annotated[Level, At("model", unit="K")] = 293.15
+    time_reference: Annotated[Number, At("model", unit="s")] = 0.0
     coefficients: tuple[Coefficient, ...]
     covariance: Array
+    angle_rms: Annotated[Level, At("noise", unit="{count}")]
+    angle_random_walk: Annotated[Level, At("noise", unit="{count}/sqrt(s)")]
+    segment_scatter: Annotated[Level, At("noise", unit="{output}")] = 0.0
+    residual_rms: Annotated[Level, At("residual", "rms", "{residual}")]
+    residual_rms_before: Annotated[Level, At("residual", "rms_before", "{residual}")]
+    residual_max_before: Annotated[Level, At("residual", "max_before", "{residual}")]
+    residual_max_after: Annotated[Level, At("residual", "max_after", "{residual}")]
     surplus_observations: Level
-    angle_rms: Level
-    angle_random_walk: Level
-    residual_rms: Level
-    residual_rms_before: Level
-    residual_max_before: Level
-    residual_max_after: Level
     quality: Quality
-    condition: Annotated[float, Meta(ge=1.0)]
-    notes: tuple[str, ...] = ()
-    budget: BudgetTable = field(default_factory=BudgetTable)
+    condition: Annotated[float, Meta(ge=1.0), At("identifiability")]
+    notes: Annotated[tuple[str, ...], At("identifiability")] = ()
+    remarks: Annotated[tuple[str, ...], At("identifiability")] = ()
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
     segments: tuple[SegmentSummary, ...] = ()
+    budget: Annotated[BudgetTable, At(key="uncertainty_budget")] = field(default_factory=BudgetTable)
+    sources: Annotated[tuple[StandSource, ...], At(key="sources_of_the_stand")] = ()
+    gravity: str = ""
     provenance: Provenance
-    temperature_reference: Level = 293.15
-    time_reference: Number = 0.0
-    residuals: Residuals | None = field(default=None, compare=False)
-    history: dict[str, Array] | None = field(default=None, compare=False)
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-    segment_scatter: Level = 0.0
-    remarks: tuple[str, ...] = ()
-    sources: tuple[StandSource, ...] = ()
-    scale_factor_tolerance: Level = 0.01
-    gravity: str = ""
-    unit: str = GYRO
+    residuals: Annotated[Residuals | None, At(None)] = field(default=None, compare=False)
+    history: Annotated[dict[str, Array] | None, At(None)] = field(default=None, compare=False)
+    unit: Annotated[str, At(None)] = GYRO
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "budget", BudgetTable(tuple(self.budget)))
@@ -318,9 +335,50 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         >>> cal["tan_beta"].std, list(cal)
         (1e-06, ['scale_factor', 'tan_beta', 'phi'])
         """
-        from piga.records.calibration.document import calibration_of
+        from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
 
-        return calibration_of(coefficients, covariance, serial, scale_factor_nominal, phase_source, unit)
+        if unit != GYRO:
+            check_direct_unit(unit, f"{_GIVEN} unit")
+        named = [_given(key, value, unit) for key, value in coefficients.items()]
+        matrix = (
+            np.diag([c.std**2 for c in named]) if covariance is None else np.asarray(covariance, dtype=float)
+        )
+        if matrix.shape != (len(named), len(named)) or not np.isfinite(matrix).all():
+            words = f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients"
+            raise _refusal(words, "give one row and one column of finite numbers for each, in their order")
+        nominal = next((c.value_si for c in named if c.name == "scale_factor"), 0.0)
+        if scale_factor_nominal is not None:
+            with numbers_are_si(True):
+                nominal = scale_factor_in(scale_factor_nominal, unit, f"{_GIVEN} scale_factor_nominal")
+        if nominal <= 0.0:
+            remedy = "add 'scale_factor' or scale_factor_nominal; if it is negative, reverse the input axis"
+            raise _refusal("there is no positive scale factor", remedy)
+        std = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
+        levels: dict[str, Any] = dict.fromkeys(_LEVELS, 0.0)
+        made = cls(
+            serial=serial,
+            scale_factor_nominal=nominal,
+            terms=tuple(c.name for c in named if c.name != "phi"),
+            phases="per-segment" if any(c.segment is not None for c in named) else "shared",
+            phase_source=phase_source,
+            method="information",
+            coefficients=tuple(
+                replace(c, std=c.std or u, run=None, interval=None) for c, u in zip(named, std, strict=True)
+            ),
+            covariance=matrix,
+            **levels,
+            quality=Quality(0, 0, 0),
+            condition=math.inf,
+            notes=("the coefficients were given, not estimated from a record: no test was made",),
+            provenance=Provenance(
+                {}, f"piga {__version__}", dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+            ),
+            unit=unit,
+        )
+        try:  # the checks of a record that is read from a file
+            return calibration_from_bytes(calibration_to_bytes(made), Path(_GIVEN))
+        except CalibrationError as error:
+            raise ArgumentError(error.message, remedy="correct the coefficients") from None
 
     def require_gimbal(self, what: str) -> None:
         """Refuse a direct instrument where a gimbal is needed. The message begins with ``what``."""
@@ -379,3 +437,32 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
 Given = float | str | tuple[float | str, float | str] | Coefficient
 """A coefficient as :meth:`Calibration.from_coefficients` takes it."""
+
+_GIVEN = "Calibration.from_coefficients"
+_LEVELS = (
+    "angle_rms", "angle_random_walk", "residual_rms", "residual_rms_before", "residual_max_before", "residual_max_after",
+    "surplus_observations",
+)  # fmt: skip
+
+
+def _refusal(message: str, remedy: str) -> ArgumentError:
+    return ArgumentError(f"{_GIVEN}: {message}", remedy=remedy)
+
+
+def _given(key: str, given: Given, output: str) -> Coefficient:
+    parts = re.fullmatch(r"([^\[\]]+)(?:\[(.+)\])?", key)
+    name, segment = parts.groups() if parts else (key, None)
+    if not check_name(name):
+        raise _refusal(f"unknown coefficient '{key}'", "e.g. scale_factor, tan_beta, phi, k0")
+    if isinstance(given, Coefficient):
+        if given.key != key:
+            raise _refusal(f"'{key}' is the coefficient '{given.key}'", "use its own name")
+        return given
+    unit, what = unit_of(name, output), f"{_GIVEN} {key}"
+    value, std = (
+        from_si(to_si(number, unit, what=what), unit)
+        if isinstance(number, str)
+        else to_si(number, "1", what=what)
+        for number in (given if isinstance(given, tuple) else (given, 0.0))
+    )
+    return Coefficient(name, value, std, unit, segment)

@@ -1,4 +1,4 @@
-"""``calibration.json``: the calibration record on disk (schema ``piga.calibration/1``). And records of given coefficients."""
+"""``calibration.json``: the calibration record on disk (schema ``piga.calibration/1``)."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ import datetime as dt
 import hashlib
 import json
 import math
-import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 import numpy as np
-from numpy.typing import ArrayLike
 
-from piga._version import __version__
-from piga.errors import ArgumentError, CalibrationError, PigaError, UnitError, Where
+from piga.errors import CalibrationError, PigaError, UnitError, Where
 from piga.output import check_results
-from piga.records.calibration.calibration import Calibration, Given, Provenance
-from piga.records.calibration.coefficient import Amount, BudgetEntry, Coefficient, Level
-from piga.records.calibration.diagnostics import Quality
-from piga.records.run_file import Method, Phases, PhaseSource, check_direct_unit
-from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, si_factor, turns, unit_of
-from piga.records.text_files import JsonError, check_label, converted, json_object, read_whole
-from piga.units import conversion_factor, from_si, numbers_are_si, parse_unit, to_si
+from piga.records.calibration.calibration import At, Calibration
+from piga.records.calibration.coefficient import BudgetEntry, Coefficient
+from piga.records.run_file import Method, Phases, PhaseSource
+from piga.records.terms import GYRO, check_name, integral_unit, si_factor, turns, unit_of
+from piga.text_files import JsonError, check_label, converted, json_object, read_whole
+from piga.units import conversion_factor, parse_unit
 
 SCHEMA = "piga.calibration/1"
 MOST_BYTES = 256 << 20
@@ -38,54 +34,16 @@ SAME = 1e-6
 _MOST_OUTLIERS = 10_000
 """Most outliers that are listed one by one. The events of the quality section count all of them."""
 
-_PLACES = {
-    "serial": ("instrument", "serial", ""),
-    "scale_factor_nominal": ("instrument", "scale_factor_nominal", "{output}/g"),
-    "scale_factor_tolerance": ("instrument", "scale_factor_tolerance", ""),
-    "terms": ("model", "terms", ""),
-    "method": ("model", "method", ""),
-    "phases": ("model", "phase", ""),
-    "phase_source": ("model", "phase_source", ""),
-    "temperature_reference": ("model", "temperature_reference", "K"),
-    "time_reference": ("model", "time_reference", "s"),
-    "coefficients": ("", "coefficients", ""),
-    "covariance": ("", "covariance", ""),
-    "angle_rms": ("noise", "angle_rms", "{count}"),
-    "angle_random_walk": ("noise", "angle_random_walk", "{count}/sqrt(s)"),
-    "segment_scatter": ("noise", "segment_scatter", "{output}"),
-    "residual_rms": ("residual", "rms", "{residual}"),
-    "residual_rms_before": ("residual", "rms_before", "{residual}"),
-    "residual_max_before": ("residual", "max_before", "{residual}"),
-    "residual_max_after": ("residual", "max_after", "{residual}"),
-    "surplus_observations": ("", "surplus_observations", ""),
-    "quality": ("", "quality", ""),
-    "condition": ("identifiability", "condition", ""),
-    "notes": ("identifiability", "notes", ""),
-    "remarks": ("identifiability", "remarks", ""),
-    "diagnostics": ("", "diagnostics", ""),
-    "segments": ("", "segments", ""),
-    "budget": ("", "uncertainty_budget", ""),
-    "sources": ("", "sources_of_the_stand", ""),
-    "gravity": ("", "gravity", ""),
-    "provenance": ("", "provenance", ""),
-    "runs": ("", "runs", ""),
-    "outliers": ("", "outliers", ""),
-}
-"""Section, key and unit in the file of each field of a calibration. Where there is a unit, the file states value and unit."""
-
-
-class _Level(msgspec.Struct, frozen=True):
-    value: Level
-    unit: str
-
 
 class _Covariance(msgspec.Struct, frozen=True):
     names: tuple[str, ...]
     matrix: tuple[tuple[Annotated[float, msgspec.Meta(ge=-1e200, le=1e200)], ...], ...]
 
 
-def _document_type() -> Any:
+def _document_type() -> tuple[dict[str, At], Any]:
+    """The place of each field of a calibration in the file, in order; and the type of the file."""
     kinds = get_type_hints(Calibration, include_extras=True)
+    notes = {name: getattr(kind, "__metadata__", ()) for name, kind in kinds.items()}
     kinds |= {
         "covariance": _Covariance,
         "budget": tuple[BudgetEntry, ...],
@@ -94,27 +52,29 @@ def _document_type() -> Any:
         "phase_source": PhaseSource,
         "method": Method | Literal["published", "recursive"],
     }
-    sections: dict[str, list[Any]] = defaultdict(list)
+    places, sections = {}, defaultdict[str, list[Any]](list)
     for field in fields(Calibration):
-        if field.name in _PLACES:
-            section, key, unit = _PLACES[field.name]
-            kind = kinds[field.name]
-            kind = (_Level if kind == Level else Amount) if unit else kind
-            required = field.default is MISSING and field.default_factory is MISSING
-            entry = (key, kind) if required else (key, kind | msgspec.UnsetType, msgspec.UNSET)
-            sections[section].append(entry)
+        section, key, unit = next((note for note in notes[field.name] if isinstance(note, At)), At())
+        if section is None:
+            continue
+        places[field.name] = At(section, key or field.name, unit)
+        kind = kinds[field.name]
+        kind = msgspec.defstruct("Stated", [("value", kind), ("unit", str)]) if unit else kind
+        required = field.default is MISSING and field.default_factory is MISSING
+        entry = (kind,) if required else (kind | msgspec.UnsetType, msgspec.UNSET)
+        sections[section].append((key or field.name, *entry))
     top = sections.pop("")
     top += [(name, msgspec.defstruct(name, entries, kw_only=True)) for name, entries in sections.items()]
-    return msgspec.defstruct("_Document", top, kw_only=True)
+    return places, msgspec.defstruct("_Document", top, kw_only=True)
 
 
-_DOCUMENT = _document_type()
+_PLACES, _DOCUMENT = _document_type()
 
 
 def _units(unit: str, residual: str = "") -> dict[str, str]:
     """Unit of each quantity in the file, by field, for an output rate in ``unit`` and residuals in ``residual``."""
     names = {"output": unit, "count": integral_unit(unit), "residual": residual}
-    return {field: place[2].format(**names) for field, place in _PLACES.items() if place[2]}
+    return {field: place.unit.format(**names) for field, place in _PLACES.items() if place.unit}
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:
@@ -317,86 +277,3 @@ def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
         np.linalg.cholesky(0.5 * (correlation + correlation.T) + size * ROUNDING * np.eye(size))
     except np.linalg.LinAlgError:
         yield "the covariance is not positive semi-definite"
-
-
-# -- given coefficients ---------------------------------------------------------------------------------
-
-_GIVEN = "Calibration.from_coefficients"
-_GIVEN_KEY = re.compile(r"([^\[\]]+)(?:\[(.+)\])?")
-
-
-def calibration_of(
-    coefficients: Mapping[str, Given],
-    covariance: ArrayLike | None,
-    serial: str,
-    scale_factor_nominal: float | str | None,
-    phase_source: str,
-    unit: str = GYRO,
-) -> Calibration:
-    """The calibration with these coefficients: :meth:`piga.Calibration.from_coefficients`.
-
-    It passes the checks of a calibration that is read from a file.
-    """
-    if unit != GYRO:
-        check_direct_unit(unit, f"{_GIVEN} unit")
-    named = [_coefficient(key, given, unit) for key, given in coefficients.items()]
-    matrix = np.diag([c.std**2 for c in named]) if covariance is None else np.asarray(covariance, dtype=float)
-    nominal = next((c.value_si for c in named if c.name == "scale_factor"), None)
-    if scale_factor_nominal is not None:
-        with numbers_are_si(True):
-            nominal = scale_factor_in(scale_factor_nominal, unit, f"{_GIVEN} scale_factor_nominal")
-    if nominal is None or nominal <= 0.0:
-        remedy = "add 'scale_factor' or scale_factor_nominal; if it is negative, reverse the input axis"
-        raise _refusal("there is no positive scale factor", remedy)
-    if matrix.shape != (len(named), len(named)) or not np.isfinite(matrix).all():
-        words = f"covariance: shape {matrix.shape}, but there are {len(named)} coefficients"
-        raise _refusal(words, "give one row and one column of finite numbers for each, in their order")
-    std = np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist()
-    levels: dict[str, Any] = {f: 0.0 for f, place in _PLACES.items() if place[0] in ("noise", "residual")}
-    made = Calibration(
-        serial=serial,
-        scale_factor_nominal=nominal,
-        terms=tuple(c.name for c in named if c.name != "phi"),
-        phases="per-segment" if any(c.segment is not None for c in named) else "shared",
-        phase_source=phase_source,
-        method="information",
-        coefficients=tuple(
-            replace(c, std=c.std or u, run=None, interval=None) for c, u in zip(named, std, strict=True)
-        ),
-        covariance=matrix,
-        surplus_observations=0.0,
-        **levels,
-        quality=Quality(0, 0, 0),
-        condition=math.inf,
-        notes=("the coefficients were given, not estimated from a record: no test was made",),
-        provenance=Provenance({}, f"piga {__version__}", dt.datetime.now(dt.UTC).isoformat(timespec="seconds")),
-        unit=unit,
-    )
-    try:
-        return calibration_from_bytes(calibration_to_bytes(made), Path(_GIVEN))
-    except CalibrationError as error:
-        raise ArgumentError(error.message, remedy="correct the coefficients") from None
-
-
-def _refusal(message: str, remedy: str) -> ArgumentError:
-    return ArgumentError(f"{_GIVEN}: {message}", remedy=remedy)
-
-
-def _coefficient(key: str, given: Given, output: str) -> Coefficient:
-    parts = _GIVEN_KEY.fullmatch(key)
-    name, segment = parts.groups() if parts else (key, None)
-    if not check_name(name):
-        raise _refusal(f"unknown coefficient '{key}'", "e.g. scale_factor, tan_beta, phi, k0")
-    if isinstance(given, Coefficient):
-        if given.key != key:
-            raise _refusal(f"'{key}' is the coefficient '{given.key}'", "use its own name")
-        return given
-    unit, what = unit_of(name, output), f"{_GIVEN} {key}"
-    value, std = given if isinstance(given, tuple) else (given, 0.0)
-    return Coefficient(name, _number(value, unit, what), _number(std, unit, what), unit, segment)
-
-
-def _number(given: float | str, unit: str, what: str) -> float:
-    if isinstance(given, str):
-        return from_si(to_si(given, unit, what=what), unit)
-    return to_si(given, "1", what=what)

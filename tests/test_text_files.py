@@ -21,7 +21,7 @@ from piga.certificate.xml_signature import load_certificate, read_xml
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
-from piga.records.text_files import open_regular, read_whole
+from piga.text_files import open_regular, read_whole
 from tests.records.files import lines, write_run
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -89,7 +89,7 @@ RACE = """
 import sys, threading, types
 from pathlib import Path
 from piga.records import run_file
-from piga.records.text_files import convert_toml
+from piga.text_files import convert_toml
 
 sys.setswitchinterval(1e-6)
 source = Path(run_file.__file__).read_text()
