@@ -93,6 +93,13 @@ def test_each_part_alone():
     assert quiet.u_velocity == pytest.approx(np.sqrt(4 * WHITE**2 + WALK**2 * time) / (K_G / G0), rel=1e-4)
 
 
+def test_a_force_that_is_zero_within_the_dead_zone():
+    """Any force in the zone holds the output still: half-width ``a_t tan(beta)``, a rectangular distribution."""
+    locked = piga.Compensator(calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.0}))
+    locked.push({"t": H * np.arange(6), "output": np.zeros(6), "f": np.tile([0.0, G0, 0.0], (6, 1))})
+    assert locked.u_velocity() == pytest.approx(5 * H * G0 * TAN_BETA / np.sqrt(3), abs=1e-12)
+
+
 def test_phases_of_segments_are_coefficients_of_their_own():
     t = np.arange(ROWS) * H
     f = constant_force(t, 1.1, 4.0, -0.5)

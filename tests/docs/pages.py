@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from markdown_it import MarkdownIt
 from typer.main import get_command
 
 from piga.cli.main import app
@@ -14,7 +15,6 @@ from piga.cli.main import app
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
-_FENCE = re.compile(r"^(?P<indent> *)(?P<mark>```+|:::+)\s*(?P<kind>[\w{}-]*)")
 _NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 COMMANDS = ("piga ", "logger ")
 """First words of an indented block that is a command line."""
@@ -62,33 +62,16 @@ def commands() -> dict[str, bool]:
 
 def blocks(page: Path) -> list[Block]:
     """Fenced blocks, and indented blocks that are command lines, in order."""
-    lines = page.read_text(encoding="utf-8").splitlines()
     collected: list[Block] = []
-    at, slow, reason = 0, False, ""
-    while at < len(lines):
-        fence = _FENCE.match(lines[at])
-        if lines[at].strip() == "<!-- slow -->":
-            slow = True
-        if marked := _NOT_RUN.fullmatch(lines[at].strip()):
-            reason = marked[1]
-        if fence:
-            end = at + 1
-            while end < len(lines) and lines[end].strip() != fence["mark"]:
-                end += 1
-            text = "\n".join(line[len(fence["indent"]) :] for line in lines[at + 1 : end])
-            kind = "python" if fence["kind"].startswith("{code-cell}") else fence["kind"]
-            collected.append(Block(kind, text, at + 1, slow, reason))
-            at, slow, reason = end, False, ""
-        elif (
-            lines[at].startswith("    ")
-            and lines[at].strip().startswith(COMMANDS)
-            and not lines[at - 1].strip()
-        ):
-            end = at
-            while end < len(lines) and lines[end].startswith("    "):
-                end += 1
-            text = "\n".join(line[4:] for line in lines[at:end])
-            collected.append(Block("sh", text, at + 1, not_run=reason))
-            at, reason = end, ""
-        at += 1
+    slow, reason = False, ""
+    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+        if token.type == "html_block":
+            slow = slow or "<!-- slow -->" in token.content
+            marked = _NOT_RUN.search(token.content)
+            reason = marked[1] if marked else reason
+        elif token.type == "fence" or (token.type == "code_block" and token.content.startswith(COMMANDS)):
+            kind = "sh" if token.type == "code_block" else token.info.partition(" ")[0]
+            kind = "python" if kind == "{code-cell}" else kind
+            collected.append(Block(kind, token.content, (token.map or [0])[0] + 1, slow, reason))
+            slow, reason = False, ""
     return collected

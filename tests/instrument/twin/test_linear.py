@@ -20,6 +20,7 @@ from piga.instrument.twin.linear import (
     require_stable,
     servo_terms,
     step_response,
+    tilt_compliance,
 )
 from piga.instrument.twin.parameters import PRESETS
 from piga.instrument.twin.run import run_twin
@@ -41,10 +42,15 @@ def jacobian(p):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_poles_are_those_of_the_linearised_twin(name):
+def test_poles_and_compliance_are_those_of_the_linearised_twin(name):
     p = PRESETS[name]
-    own, kernel = np.sort_complex(loop_poles(p)), np.sort_complex(np.linalg.eigvals(jacobian(p)))
+    matrix = jacobian(p)
+    own, kernel = np.sort_complex(loop_poles(p)), np.sort_complex(np.linalg.eigvals(matrix))
     assert own == pytest.approx(kernel, rel=1e-5)
+    push = np.array([0.0, 1.0 / p.J_x, 0.0, 0.0])  # a torque about the outer axis
+    for w in (0.5, 20.0, 400.0):
+        tilt = np.linalg.solve(1j * w * np.eye(4) - matrix, push)[0]
+        assert tilt_compliance(p, [w])[0] == pytest.approx(tilt, rel=1e-5)
 
 
 def test_all_presets_are_stable_with_margin():
