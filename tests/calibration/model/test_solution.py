@@ -132,7 +132,7 @@ def test_the_best_phase_is_that_of_a_fine_grid(orders: tuple[int, ...]) -> None:
     for seed in range(4):
         layout, factors, _ = grouped(seed, orders, 3.0)
         amplitudes = np.random.default_rng(100 + seed).standard_normal(layout.size)
-        best = _best_phases(layout, amplitudes, factors)
+        best = _best_phases(layout, amplitudes, layout.stacked(factors))
         for group, factor in enumerate(factors):
             tried = [layout.linear(amplitudes, phase, group) for phase in (*grid[::20], best[group])]
             cost = np.sum((factor[:-1, -1] - np.array(tried) @ factor[:-1, :-1].T) ** 2, axis=1)

@@ -133,17 +133,16 @@ def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
 
 def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
     """Summary of all groups; the local columns of each group are turned to its best phase."""
-    total = Reduction.empty(layout.columns)
-    for group, part in enumerate(parts):
-        turned = np.array(part.factor)
+    factors = [np.array(part.factor) for part in parts]
+    for turned in factors:
         if layout.coupled and turned[0, 0] and turned[1, 1]:
             q = turned[1, -1] / turned[1, 1]
             p = (turned[0, -1] - turned[0, 1] * q) / turned[0, 0]
             phase = np.arctan2(q, p)
             cosine, sine = np.cos(phase), np.sin(phase)
             turned[:, :2] = turned[:, :2] @ np.array([[cosine, -sine], [sine, cosine]])
-        total.absorb(layout.embedded(turned, group).T)
-    return total
+    rows = layout.stacked(factors).reshape(-1, len(layout.columns) + 1)
+    return Reduction.of_rows(layout.columns, rows, 0)
 
 
 def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:

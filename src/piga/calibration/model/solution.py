@@ -99,49 +99,46 @@ class Layout:
         local = self.turned(amplitudes, np.array([phase]))[0]
         return np.concatenate([local, amplitudes[self.head :][self.tails[group]]])
 
-    def from_linear(self, linear: Array, phase: float) -> Array:
-        """Amplitudes from the column coefficients of the only group."""
-        parts: list[float] = []
-        at = 0
-        if self.coupled:
-            parts.append(linear[0] * np.cos(phase) + linear[1] * np.sin(phase))
-            at = 2
-        for order in self.orders:
-            s, c = linear[at], linear[at + 1]
-            cosine, sine = np.cos(order * phase), np.sin(order * phase)
-            parts += [s * cosine + c * sine, -s * sine + c * cosine]
-            at += 2
-        return np.concatenate([parts, linear[at:]])
+    def directions(self, phases: Array) -> Array:
+        """Derivative of ``turned`` by the amplitudes before the keys, (.., local, head); its columns are orthonormal."""
+        units = [self.turned(unit, phases) for unit in np.eye(self.head)]
+        return np.stack(units, axis=-1) if units else np.zeros((*phases.shape, 0, 0))
 
-    def jacobian(self, amplitudes: Array, phases: Array, group: int) -> Array:
-        """Derivative of ``linear`` of one group by ``[amplitudes, phases]``: (columns, size + groups)."""
-        phase = phases[group] if phases.size else 0.0
-        tail = self.tails[group]
-        result = np.zeros((self.local + tail.size, self.size + phases.size))
-        row = at = 0
-        if self.coupled:
-            result[0, 0], result[1, 0] = np.cos(phase), np.sin(phase)
-            row, at = 2, 1
-        for order in self.orders:
-            cosine, sine = np.cos(order * phase), np.sin(order * phase)
-            result[row : row + 2, at : at + 2] = [[cosine, -sine], [sine, cosine]]
-            row, at = row + 2, at + 2
-        result[row + np.arange(tail.size), at + tail] = 1.0
+    def from_linear(self, linear: Array, phase: float) -> Array:
+        """Amplitudes (size, ..) from the column coefficients (columns, ..) of the only group."""
+        along = self.directions(np.asarray(phase))
+        return np.concatenate(
+            [np.einsum("...lh,l...->h...", along, linear[: self.local]), linear[self.local :]]
+        )
+
+    def derivative(self, amplitudes: Array, phases: Array) -> Array:
+        """Derivative of the coefficients of ``columns`` by ``[amplitudes, phases]``: (groups, columns, size + phases)."""
+        count, at = len(self.tails), np.arange(len(self.keys))
+        result = np.zeros((count, len(self.columns), self.size + phases.size))
+        result[:, self.local + at, self.head + at] = 1.0
+        result[:, : self.local, : self.head] = self.directions(phases if phases.size else np.zeros(count))
         if phases.size:
-            result[: self.local, self.size + group] = self.turned(amplitudes, phases[group : group + 1], 1)[0]
+            each = np.arange(count)
+            result[each, : self.local, self.size + each] = self.turned(amplitudes, phases, 1)
         return result
 
-    def embedded(self, factor: Array, group: int) -> Array:
-        """Triangular factor of a group, with its shared columns placed among ``keys``; not triangular."""
-        result = np.zeros((factor.shape[0], self.local + len(self.keys) + 1))
-        result[:, : self.local] = factor[:, : self.local]
-        result[:, self.local + self.tails[group]] = factor[:, self.local : -1]
-        result[:, -1] = factor[:, -1]
+    def jacobians(self, amplitudes: Array, phases: Array) -> tuple[Array, ...]:
+        """Derivative of ``linear`` of each group by ``[amplitudes, phases]``."""
+        whole, local = self.derivative(amplitudes, phases), np.arange(self.local)
+        return tuple(
+            own[np.append(local, self.local + tail)] for own, tail in zip(whole, self.tails, strict=True)
+        )
+
+    def stacked(self, factors: Sequence[Array]) -> Array:
+        """Factors of the groups with their columns placed among ``columns``, observation last; rows of zeros fill up."""
+        result = np.zeros((len(factors), max(map(len, factors)), len(self.columns) + 1))
+        for own, factor, tail in zip(result, factors, self.tails, strict=True):
+            own[: len(factor), [*range(self.local), *(self.local + tail), -1]] = factor
         return result
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of ``embedded``, without the last (the observation)."""
+        """Names of the local columns and of ``keys``."""
         local: tuple[str, ...] = ("p", "q") if self.coupled else ()
         local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
         return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
@@ -194,19 +191,16 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
         return _solve_groups(layout, parts)
     total = parts[0]
     if len(parts) > 1:
-        total = Reduction.empty(layout.columns)
-        for group, part in enumerate(parts):
-            total.absorb(layout.embedded(part.factor, group).T, count=part.count)
+        rows = layout.stacked([part.factor for part in parts]).reshape(-1, len(layout.columns) + 1)
+        total = Reduction.of_rows(layout.columns, rows, sum(part.count for part in parts))
     linear, covariance, cost = total.solve()
     amplitudes, phases = linear, np.zeros(0)
     if layout.coupled:
-        phase = np.arctan2(linear[1], linear[0])
-        phases = np.array([phase])
-        amplitudes = layout.from_linear(linear, phase)
-        inverse = np.linalg.inv(layout.jacobian(amplitudes, phases, 0))
+        phases = np.array([np.arctan2(linear[1], linear[0])])
+        amplitudes = layout.from_linear(linear, phases[0])
+        inverse = np.linalg.inv(layout.derivative(amplitudes, phases)[0])
         covariance = inverse @ covariance @ inverse.T
-    jacobians = tuple(layout.jacobian(amplitudes, phases, group) for group in range(len(parts)))
-    return Estimate(amplitudes, phases, covariance, cost, jacobians)
+    return Estimate(amplitudes, phases, covariance, cost, layout.jacobians(amplitudes, phases))
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
@@ -223,22 +217,25 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         )
     from scipy.optimize import least_squares as least_squares_from
 
-    factors, size = [part.factor for part in parts], layout.size
-    shared, amplitude = _start(layout, parts)
-    amplitudes = np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
+    size, local = layout.size, layout.local
+    stack = layout.stacked([part.factor[:-1] for part in parts])
+    columns, observed = stack[..., :-1], stack[..., -1]
+    turning, steady = columns[..., :local], columns[..., local:]
 
     def missed(x: Array) -> Array:
-        values = (layout.linear(x[:size], x[size + g], g) for g in range(len(parts)))
-        return np.concatenate([f[:-1, :-1] @ v - f[:-1, -1] for f, v in zip(factors, values, strict=True)])
+        turned = layout.turned(x, x[size:])
+        return (np.einsum("gml,gl->gm", turning, turned) + steady @ x[layout.head : size] - observed).ravel()
 
     def rows(x: Array) -> Array:
-        derivatives = (layout.jacobian(x[:size], x[size:], g) for g in range(len(parts)))
-        return np.vstack([f[:-1, :-1] @ d for f, d in zip(factors, derivatives, strict=True)])
+        return (columns @ layout.derivative(x, x[size:])).reshape(observed.size, -1)
 
-    best, cost = np.zeros(0), math.inf
+    def from_phases(phases: Array) -> Array:
+        fixed = rows(np.concatenate([np.zeros(size), phases]))[:, :size]
+        return np.concatenate([least_squares(fixed, observed.ravel(), 1e-14), phases])
+
+    amplitudes, best, cost = _start(layout, stack), np.zeros(0), math.inf
     for _ in range(_STARTS):
-        phases = _best_phases(layout, amplitudes, factors)
-        first = np.concatenate([_amplitudes_given(layout, phases, factors), phases])
+        first = from_phases(_best_phases(layout, amplitudes, stack))
         if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _DEEPER):
             break
         best = least_squares_from(
@@ -247,16 +244,12 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
     phases, along = best[size:], rows(best)
     covariance = _inverse_information(np.asarray(np.linalg.qr(along, mode="r")), size)
-    jacobians = tuple(layout.jacobian(amplitudes, phases, g) for g in range(len(parts)))
+    jacobians = layout.jacobians(amplitudes, phases)
     cost += sum(float(part.factor[-1, -1] ** 2) for part in parts)
     variance, shift = cost / max(sum(part.count for part in parts) - len(covariance), 1), np.zeros(best.size)
     if variance > 0.0:
-        bends = [
-            f[: layout.local, : layout.local] @ bend
-            for f, bend in zip(factors, layout.turned(amplitudes, phases, 2), strict=True)
-        ]
-        starts = np.cumsum([0, *(len(f) - 1 for f in factors[:-1])])
-        bent = [missed(best)[at : at + layout.local] @ bend for at, bend in zip(starts, bends, strict=True)]
+        left, bends = missed(best).reshape(observed.shape), layout.turned(amplitudes, phases, 2)
+        bent = np.einsum("gm,gml,gl->g", left, turning, bends)
         moved = _fitted_noise(
             float(amplitudes[0]), np.sum(along[:, size:] ** 2, axis=0) + bent, covariance, variance
         )
@@ -288,24 +281,19 @@ def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance:
     return shift
 
 
-def _start(layout: Layout, parts: list[Reduction]) -> tuple[Array, float]:
-    """Shared parameters and coupling amplitude, with free local columns in every group."""
+def _start(layout: Layout, stack: Array) -> Array:
+    """Amplitudes of a fit with free local columns in every group; the coupling is the mean of the groups that show it."""
     local = layout.local
-    factors = [part.factor for part in parts]
-    rest = [layout.embedded(factor, group)[local:, local:] for group, factor in enumerate(factors)]
-    free = np.asarray(np.linalg.qr(np.vstack(rest), mode="r"))
-    shared = least_squares(free[:, :-1], free[:, -1], 1e-12) if layout.keys else np.zeros(0)
-    squares, weights = 0.0, 0.0
-    for group, factor in enumerate(factors):
-        right = factor[:local, -1] - factor[:local, local:-1] @ shared[layout.tails[group]]
-        size = np.abs(np.diag(factor)[:2])
-        if size.min() < 1e-9 * max(size.max(), 1e-300) or size.max() == 0.0:
-            continue
-        p, q = solve_upper(factor[:2, :2], right[:2])
-        weight = float(size.min() ** 2)
-        squares += weight * float(np.hypot(p, q))
-        weights += weight
-    return shared, squares / weights if weights else 0.0
+    free = stack[:, local:, local:].reshape(-1, len(layout.keys) + 1)
+    shared = least_squares(free[:, :-1], free[:, -1], 1e-12)
+    right = stack[:, :2, -1] - stack[:, :2, local:-1] @ shared
+    sizes = np.abs(np.diagonal(stack[:, :2, :2], axis1=1, axis2=2))
+    shown, weights = sizes.min(axis=1) > 1e-9 * sizes.max(axis=1), sizes.min(axis=1) ** 2
+    amplitude = 0.0
+    if shown.any():
+        coupling = np.linalg.solve(stack[shown, :2, :2], right[shown, :, None])[..., 0]
+        amplitude = float(np.average(np.hypot(*coupling.T), weights=weights[shown]))
+    return np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
 
 
 def least_squares(rows: Array, right: Array, rcond: float) -> Array:
@@ -315,25 +303,22 @@ def least_squares(rows: Array, right: Array, rcond: float) -> Array:
     return np.linalg.lstsq(rows / scale, right, rcond=rcond)[0] / scale
 
 
-def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Array:
+def _best_phases(layout: Layout, amplitudes: Array, stack: Array) -> Array:
     """Phase of least cost of each group, for these amplitudes.
 
     The cost is a trigonometric polynomial of twice the highest order. Each of its minima on a grid is refined by Newton's method,
     and the least is used. If a group shows one direction much better than the other, its minima are narrow, and the grid
     alone does not show which is deeper. Only the first rows of a triangular factor have local columns.
     """
-    local = layout.local
-    top = np.stack([factor[:local, :local] for factor in factors])
-    shared = [amplitudes[layout.head :][tail] for tail in layout.tails]
-    right = np.stack(
-        [f[:local, -1] - f[:local, local:-1] @ own for f, own in zip(factors, shared, strict=True)]
-    )
+    local, groups = layout.local, len(stack)
+    top = stack[:, :local, :local]
+    right = stack[:, :local, -1] - stack[:, :local, local:-1] @ amplitudes[layout.head :]
 
     def modelled(phases: Array, derivative: int = 0) -> Array:
         return np.einsum("gij,gkj->gki", top, layout.turned(amplitudes, phases, derivative))
 
     spacing = 2.0 * np.pi / _SCAN
-    trial = np.tile(spacing * np.arange(_SCAN) - np.pi, (len(factors), 1))
+    trial = np.tile(spacing * np.arange(_SCAN) - np.pi, (groups, 1))
     cost = np.sum((right[:, None] - modelled(trial)) ** 2, axis=2)
     lowest = (cost <= np.roll(cost, 1, axis=1)) & (cost <= np.roll(cost, -1, axis=1))
     order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[:, : 2 * max((1, *layout.orders))]
@@ -348,21 +333,8 @@ def _best_phases(layout: Layout, amplitudes: Array, factors: list[Array]) -> Arr
         )
         phases = np.clip(phases + step, first - spacing, first + spacing)
     cost = np.sum((right[:, None] - modelled(phases)) ** 2, axis=2)
-    best: Array = phases[np.arange(len(factors)), np.argmin(cost, axis=1)]
+    best: Array = phases[np.arange(groups), np.argmin(cost, axis=1)]
     return best
-
-
-def _amplitudes_given(layout: Layout, phases: Array, factors: list[Array]) -> Array:
-    """Amplitudes by linear least squares for fixed phases."""
-    zero = np.zeros(layout.size)
-    rows, right = [], []
-    for group, factor in enumerate(factors):
-        m = factor.shape[0] - 1
-        rows.append(factor[:m, :m] @ layout.jacobian(zero, phases, group)[:, : layout.size])
-        right.append(factor[:m, m])
-    total = Reduction.empty(tuple(str(i) for i in range(layout.size)))
-    total.add(np.vstack(rows), np.concatenate(right))
-    return total.solve()[0]
 
 
 def _inverse_information(R: Array, first_phase: int) -> Array:
