@@ -11,8 +11,6 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from piga.cli.main import main
-from piga.compensation import sets
-from piga.compensation.result import write_rows
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "rad"'
@@ -52,23 +50,6 @@ def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.
         folder / (name.split(".")[0] + ".json")
     )
     return path
-
-
-def small_chunks(monkeypatch, rows: int) -> None:
-    """Records lie on disk, and so many rows are read and compensated at a time; sets of three are solved in as many."""
-    monkeypatch.setattr("piga.compensation.sets.READINGS", 3 * rows)
-    monkeypatch.setattr("piga.compensation.result.GROUP_ROWS", rows)
-    monkeypatch.setattr("piga.records.arrays.LARGE_BYTES", 0)
-    monkeypatch.setattr("piga.records.arrays.BLOCK_ROWS", rows)
-    monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
-    monkeypatch.setattr("piga.formats.columns.CHUNK_ROWS", rows)
-    monkeypatch.setattr("piga.formats.text.convention.PIECE_BYTES", 100 * rows)
-
-
-def set_to_file(paths, mounted, out) -> None:
-    """Read and compensate the runs of a set into Parquet."""
-    records = [sets.read_member(path) for path in paths]
-    write_rows(sets.compensate_set(records, mounted), out, "parquet")
 
 
 def command(monkeypatch, capsys, *words) -> tuple[int, str, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +18,7 @@ from piga.compensation.sets import read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import orthogonal
-from tests.compensation.twin_data import K_G, TAN_BETA, assert_same_bits, calibration_of, constant_force, run_of
+from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
 
 T = 0.01 * np.arange(60)
 F = constant_force(T, 1.0, 3.0, 0.5)
@@ -54,19 +53,12 @@ def test_a_stream_of_another_kind_or_without_its_temperature() -> None:
         piga.compensate(run_of(T, F, phi=0.3), warm)
 
 
-def test_nothing_and_single_samples() -> None:
+def test_nothing_and_time_that_stands() -> None:
     """An empty chunk changes nothing; time that stands begins a stretch even before an interval is known."""
-    run, cal = run_of(T, F, phi=0.3), calibration_of(CAL)
-    whole = piga.compensate(run, cal)
-    stream = piga.Compensator(cal)
+    stream = piga.Compensator(calibration_of(CAL))
     assert stream.push({"t": T[:0], "output": T[:0], "f": F[:0]}).size == 0
-    seen = [
-        stream.push({"t": t, "output": psi, "f": f}) for t, psi, f in zip(run.t, run.output, run.f, strict=True)
-    ]
-    assert_same_bits(seen, whole, ["ax"])
-    again = piga.Compensator(cal)
-    again.push({"t": 1.0, "output": 0.0, "f": F[0]})
-    stood = again.push({"t": 1.0, "output": 0.1, "f": F[0]})
+    stream.push({"t": 1.0, "output": 0.0, "f": F[0]})
+    stood = stream.push({"t": 1.0, "output": 0.1, "f": F[0]})
     assert stood.flagged("no_increment").all()
     assert np.isnan(stood.ax).all()
 
@@ -113,42 +105,6 @@ def test_results_as_files(tmp_path: Path) -> None:
     for index, name in enumerate(("t", "ax", "dv", "u_ax", "flags")):
         np.testing.assert_array_equal(parquet.column(name).to_numpy(), getattr(compensated, name))
         np.testing.assert_array_equal(csv.column(index).to_numpy().astype(float), getattr(compensated, name))
-
-
-# --- the phase
-
-
-def test_a_phase_that_cannot_be_found() -> None:
-    with pytest.raises(piga.CalibrationError, match="no cross-coupling: there is no phase to find"):
-        piga.compensation.PhaseFinder(calibration_of({"scale_factor": K_G, "k0": 1e-3}))
-    t = 0.01 * np.arange(3000)
-    cal = calibration_of(CAL, angle_rms=1e-6)
-    still = run_of(t[:100], constant_force(t[:100], 1.0, 3.0), phi=0.3)
-    with pytest.raises(piga.CalibrationError, match=r"the output does not turn once in the first 0\.5 s"):
-        piga.compensation.identify_phase(still, cal, 0.5)
-    alone = run_of(t, constant_force(t, 1.0, 0.0), phi=0.3)
-    with pytest.raises(piga.CalibrationError, match="no transverse specific force"):
-        piga.compensation.identify_phase(alone, cal, 30.0)
-    weak = run_of(t, constant_force(t, 1.0, 1e-3), phi=0.3)
-    noisy = calibration_of(CAL, angle_rms=1e-4)
-    with pytest.raises(piga.CalibrationError, match=r"known to .* rad only after 30 s(?s:.*)more transverse"):
-        piga.compensation.identify_phase(weak, noisy, 30.0)
-
-
-def test_the_phase_of_a_record_of_rates_up_to_its_first_gap() -> None:
-    """Behind the gap another phase begins: it must not be looked at."""
-    t = 0.01 * np.arange(3000)
-    f = constant_force(t, 1.0, 3.0)
-    first, second = run_of(t, f, phi=0.3, kind="rate"), run_of(t, f, phi=2.0, kind="rate")
-    record = piga.Run.from_arrays(
-        np.concatenate((t, t + 100.0)), np.concatenate((first.output, second.output)), np.concatenate((f, f)),
-        scale_factor=K_G / G0, kind="rate", segment=np.repeat([0, 1], t.size), units="SI",
-    )  # fmt: skip
-    cal = calibration_of(CAL, angle_rms=1e-6)
-    phase = piga.compensation.identify_phase(record, cal, 1000.0)
-    assert abs(phase.value - 0.3) < 1e-3
-    by_angle = piga.compensation.identify_phase(run_of(t, f, phi=0.3), cal, 30.0)
-    assert abs(phase.value - by_angle.value) < 1e-3
 
 
 # --- sets
@@ -265,11 +221,6 @@ def test_triad_files_that_are_none(
     assert "not valid TOML" in text
 
 
-def numbers_of(state: Any) -> bytes:
-    """All numbers of a state, bit by bit."""
-    return bytes(state.tobytes())
-
-
 @pytest.mark.parametrize("kind", ["angle", "rate"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
 def test_samples_that_begin_a_stretch_are_checked_too(kind: str, bad: float) -> None:
@@ -284,11 +235,20 @@ def test_samples_that_begin_a_stretch_are_checked_too(kind: str, bad: float) -> 
             before = stream.state
             with pytest.raises(piga.ArgumentError, match=r"not finite|too large"):
                 stream.push(values)
-            assert numbers_of(stream.state) == numbers_of(before)
+            assert stream.state.tobytes() == before.tobytes()
         stream.push(good)
 
 
 # --- the command
+
+
+def test_resume_is_answered_by_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (write(tmp_path, rows=50), "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet")
+    code, _, text = command(monkeypatch, capsys, *words, "--resume")
+    assert code == 2
+    assert "run the same command again without it" in text
 
 
 def test_words_of_the_command_that_do_not_fit(

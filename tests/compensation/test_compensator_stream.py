@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import piga
 from piga.units import G0
+from tests.compensation import run_files
+from tests.compensation.run_files import REFERENCE, run_text, write
 from tests.compensation.twin_data import (
     K_G,
     TAN_BETA,
@@ -91,3 +95,20 @@ def test_stretches_of_a_record_are_kept_in_a_stream():
     later = run_of(t + 0.2, constant_force(t, 1.0, 1.0), phi=0.3)
     assert not stream.push(later).flagged("no_increment").any()
     assert stream.push(run_of(t + 0.5, constant_force(t, 1.0, 1.0), phi=0.3)).flagged("no_increment")[0]
+
+
+@pytest.mark.parametrize(("turn", "kept"), [(2.0 * np.pi, True), (5.0, False)])
+def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(tmp_path, turn, kept):
+    path, data = write(tmp_path, rows=400), tmp_path / "run.parquet"
+    table = pa.parquet.read_table(data).to_pydict()
+    table["t"] = np.array(table["t"]) + np.where(np.arange(400) < 300, 0.0, 7.0)
+    table["psi"] = np.mod(np.array(table["psi"]) + 1.0, turn)
+    pa.parquet.write_table(pa.table(table), data)
+    folded = f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"'
+    path.write_text(run_text(data.name, REFERENCE, output=folded))
+    run, cal = piga.read_run(path), calibration_of(run_files.CAL, serial="A")
+    if kept:
+        assert np.count_nonzero(piga.compensate(run, cal).flagged("no_increment")) == 2
+        return
+    with pytest.raises(piga.CalibrationError, match="the zero of the output angle was lost before segment"):
+        piga.compensate(run, cal)

@@ -5,17 +5,12 @@ The truth is a force on a grid 64 times finer than the samples, with own sums.
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 import piga
 from piga.compensation import Mounted, SetCompensator
 from piga.records import Run
-from piga.reports.compensation import page
-from piga.reports.render.page import Notice
 from piga.units import G0, MICRO_G
 from tests.compensation.twin_data import K_G, calibration_of
 
@@ -141,22 +136,3 @@ def test_rate_samples_hide_nothing_but_are_flagged():
     assert np.nanmax(result.u_ax) < 1e-9
     assert result.flagged("vibration")[200:].all()
     assert "between the samples" in result.notes[-1]
-
-
-def test_files_and_page_say_it(tmp_path):
-    _, run = shaken(7, 2.0)
-    out = tmp_path / "out.parquet"
-    result = piga.compensate(run, with_k2())
-    result.to_parquet(out)
-    assert result.flagged("vibration").sum() > 1000
-    assert json.loads(pq.read_metadata(out).metadata[b"piga.notes"])[-1] == result.notes[-1]
-    flags = next(section for section in page(result).sections if section.title == "Flags")
-    assert Notice("warning", result.notes[-1]) in flags.blocks
-
-
-def test_without_k2_the_effect_is_given_per_unit():
-    _, run = shaken(8, 2.0)
-    result = piga.compensate(run, calibration_of({"scale_factor": K_G}))
-    assert "each micro-g/g^2 of k2" in result.notes[-1]
-    assert result.flagged("vibration")[200:].all()
-    assert np.nanmax(result.u_ax) < 1e-9

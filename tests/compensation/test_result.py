@@ -15,34 +15,12 @@ import piga
 from piga.compensation import (
     Compensated,
     Resampler,
-    identify_phase,
 )
 from piga.compensation.model import FLAGS
 from piga.compensation.result import write_rows
 from piga.formats.columns import nulls_of, numbers_of
-from tests.compensation.run_files import CAL, command, small_chunks, write
-from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, constant_force, run_of
-
-
-def test_the_phase_at_rest_by_the_command(tmp_path, monkeypatch, capsys):
-    """The first 20 s of 30, the record on disk."""
-    t = np.arange(0.0, 30.0, 0.02)
-    f = constant_force(t, 0.7, 0.7, 0.1)
-    path = write(tmp_path, rows=10)
-    output = run_of(t, f, phi=0.8).output + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
-    table = {"t": t, "psi": output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2]}
-    pa.parquet.write_table(pa.table(table), tmp_path / "run.parquet")
-    cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.0}, serial="A", angle_rms=1e-5)
-    cal.to_json(tmp_path / "run.json")
-    phase = identify_phase(piga.read_run(path), cal, 20.0)
-    assert abs(phase.value - 0.8) < 2e-3
-    expected = piga.compensate(piga.read_run(path), cal, phase=phase)
-    small_chunks(monkeypatch, 100)
-    words = (path, "--calibration", tmp_path / "run.json", "--identify-phase", "20 s", "--out")
-    code, _, said = command(monkeypatch, capsys, *words, tmp_path / "o.parquet")
-    assert code == 0, said
-    assert f"phase {phase.value:.6g} rad" in said
-    assert pa.parquet.read_table(tmp_path / "o.parquet")["ax"].to_numpy().tobytes() == expected.ax.tobytes()
+from tests.compensation.run_files import CAL
+from tests.compensation.twin_data import calibration_of, constant_force, run_of
 
 
 def test_numbers_of_every_kind_of_column():

@@ -6,21 +6,26 @@ from dataclasses import replace
 
 import numba
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 
 import piga
-from piga.compensation import SetCompensator, compensate_set, identify_phase
+from piga.compensation import SetCompensator, compensate_set
+from piga.compensation.sets import orthogonal_triad, read_member
 from piga.terms import PRODUCTS
 from piga.units import G0
+from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
-from tests.compensation.twin_triad import run, spectrum
 
 pytestmark = pytest.mark.interpreted
 
 ROWS = 300 if numba.config.DISABLE_JIT else 3000
 
 
+SKEW4 = [rotation(a) for a in SKEWED]
+SKEW3 = SKEW4[:3]
 ALL_TERMS = {
     "k0": 1e-3, "k1": -2e-3, "k2": 2e-3, "k3": 1e-4, "k1a": 1e-4, "k2o": 5e-5, "m_Y": 2e-4, "m_Z": -1e-4,
     "k_XY": 1e-4, "k_XZ": 2e-5, "k_YY": -3e-5, "k_ZZ": 4e-5, "k_YZ": 3e-5,
@@ -32,7 +37,7 @@ def test_each_product_of_forces_is_tried_in_a_set() -> None:
     assert set(ALL_TERMS) == set(PRODUCTS) - {"scale_factor", "k0_t", "k0_T", "k1_T", "k2v"}
 
 
-@pytest.mark.parametrize("axes", [orthogonal(), [rotation(a) for a in SKEWED]])
+@pytest.mark.parametrize("axes", [orthogonal(), SKEW4])
 def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
     t = np.arange(ROWS) * 0.01
     f = np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
@@ -46,16 +51,13 @@ def test_samples_of_angle_and_rate_come_back_to_1e12_g(axes):
 def test_fault_of_one_instrument_is_flagged():
     t = np.arange(ROWS) * 0.01
     f = np.tile(np.array([1.0, -0.7, 0.4]) * G0, (t.size, 1))
-    runs, mounted = made(t, f, [rotation(a) for a in SKEWED])
+    runs, mounted = made(t, f, SKEW4)
     psi = np.array([r.output for r in runs])
     sound = SetCompensator(mounted).push(t, psi)
     psi[2, 100:] += 0.01
     broken = SetCompensator(mounted).push(t, psi)
     assert not sound.flagged("fault").any()
     assert np.flatnonzero(broken.flagged("fault")).tolist() == [100]
-
-
-SKEW3, SKEW4 = [rotation(a) for a in SKEWED[:3]], [rotation(a) for a in SKEWED]
 
 
 def smooth(t: np.ndarray) -> np.ndarray:
@@ -91,50 +93,34 @@ def test_the_same_with_error_terms_and_a_base_that_turns_faster_and_faster(axes)
     assert error[4:].max() < 1e-11
 
 
-@pytest.mark.parametrize("said", [True, False])
-def test_a_gap_begins_the_differences_anew(said):
+@pytest.mark.parametrize("axes", [orthogonal(), SKEW4])
+def test_a_stretch_begins_the_differences_anew(axes) -> None:
     t = np.arange(40) * 0.01 + np.where(np.arange(40) < 20, 0.0, 1.0)
-    f = smooth(t)
-    axes, begins = orthogonal(), np.arange(40) == 20
+    begins, f = np.arange(40) == 20, smooth(t)
     runs, mounted = made(t, f, axes)
-    rows = SetCompensator(mounted).push(t, [r.output for r in runs], begins=begins if said else None)
-    error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
-    assert np.isnan(error[19])
-    assert np.nanmax(error[23:]) < 1e-12
-    assert (error[20:22] < (1e-7, 1e-9)).all()
-
-
-AXES = {"orthogonal": orthogonal(), "skewed": [rotation(a) for a in SKEWED]}
-
-
-def moving(t: np.ndarray) -> np.ndarray:
-    return np.array([1.0, -0.7, 0.4]) * G0 * (1.0 + 0.3 * np.sin(2.0 * t))[:, None]
-
-
-@pytest.mark.parametrize("axes", AXES)
-def test_a_stretch_begins_without_an_increment(axes: str) -> None:
-    t = np.arange(40) * 0.01
-    runs, mounted = made(t, moving(t), AXES[axes])
-    begins = np.arange(t.size) == 25
-    rows = SetCompensator(mounted).push(t, [r.output for r in runs], begins=begins)
-    assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, 25]
-    assert (rows.dv[[0, 25]] == 0.0).all()
-    rates, _ = made(t, moving(t), AXES[axes], "rate")
-    psi, rate = ([r.output for r in part] for part in (runs, rates))
+    psi, rate = [r.output for r in runs], [r.output for r in made(t, f, axes, "rate")[0]]
+    for said in (begins, None):
+        rows = SetCompensator(mounted).push(t, psi, begins=said)
+        error = np.abs(rows.f[1:] - 0.5 * (f[1:] + f[:-1])).max(axis=1) / G0
+        assert np.nanmax(error[23:]) < 1e-12
+        assert (error[20:22] < (1e-7, 1e-9)).all()
+        assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, 20]
+        assert (rows.dv[[0, 20]] == 0.0).all()
     for uncertainty in (True, False):  # without it three instruments go a way of their own
-        stream = SetCompensator(mounted, sampled=True, uncertainty=uncertainty)
-        sampled = stream.push(t, psi, rate=rate, begins=begins)
-        assert np.flatnonzero(sampled.flagged("no_increment")).tolist() == [0, 25]
+        sampled = SetCompensator(mounted, sampled=True, uncertainty=uncertainty).push(
+            t, psi, rate=rate, begins=begins
+        )
+        assert np.flatnonzero(sampled.flagged("no_increment")).tolist() == [0, 20]
     recorded = compensate_set([replace(run, begins=begins | (t == 0.0)) for run in runs], mounted)
     assert recorded.flags.tolist() == rows.flags.tolist()
 
 
-@pytest.mark.parametrize("axes", AXES)
-def test_intervals_that_turn_far_under_a_changing_force(axes: str) -> None:
+@pytest.mark.parametrize("axes", [orthogonal(), SKEW4])
+def test_intervals_that_turn_far_under_a_changing_force(axes) -> None:
     """Up to 0.4 rad in half an interval, the base turning: the mean force of each interval comes back."""
     t = np.arange(60) * 0.1
     f = np.array([8.0, -7.0, 9.0]) * G0 * (1.0 + 0.02 * t)[:, None]
-    runs, mounted = made(t, f, AXES[axes], base=np.array([7e-5, 3e-3, -2e-3]))
+    runs, mounted = made(t, f, axes, base=np.array([7e-5, 3e-3, -2e-3]))
     assert max(np.abs(np.diff(run.output)).max() for run in runs) > 0.6
     compensated = compensate_set(runs, mounted)
     error = compensated.f[1:] - 0.5 * (f[1:] + f[:-1])
@@ -192,29 +178,36 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     """The mean of a product over an interval is not the product of the means: 1e-5 g at 8 g/s."""
     t = 0.01 * np.arange(40)
     f = G0 * (1.0 + 8.0 * t)[:, None] * np.array([1.0, -0.7, 0.8])
-    runs, mounted = made(t, f, AXES["orthogonal"], errors={name: 0.02})
+    runs, mounted = made(t, f, orthogonal(), errors={name: 0.02})
     error = compensate_set(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error[2:10]).max() < 3e-6 * G0
 
 
-def test_a_first_harmonic_does_not_move_the_phase() -> None:
-    """It is as large as the coupling, at another angle: what is known of it is taken out before the phase is sought."""
-    t = np.arange(0.0, 30.0, 0.02)
-    errors = {"s1": 2e-3, "c1": -3e-3}
-    f = np.tile(np.array([0.7, 0.7, 0.1]) * G0, (t.size, 1))
-    run = run_of(t, f, phi=2.5, errors=errors)
-    values = {"scale_factor": K_G, "tan_beta": TAN_BETA, **errors}
-    assert identify_phase(run, calibration_of(values, angle_rms=1e-8), 30.0).value == pytest.approx(
-        2.5, abs=1e-4
-    )
+# --- by their files
 
 
-@pytest.mark.long
-def test_twin_triad_is_at_the_noise_floor_without_a_line_at_the_revolution_orders():
-    """Three servo twins, skewed, 120 s, slow swing, angle noise 1e-6 rad and walk 1e-5 rad/sqrt(s)."""
-    outcome = run(120.0)
-    assert abs(np.std(outcome.after) / np.std(outcome.noise) - 1.0) < 0.02
-    orders = np.array([1.0, 2.0, 3.0, 4.0])
-    floor = np.median(spectrum(outcome.psi, outcome.noise, np.arange(0.4, 4.7, 0.1)))
-    assert spectrum(outcome.psi, outcome.before, orders)[0] > 1e-3 * G0
-    assert spectrum(outcome.psi, outcome.after, orders).max() < 3.0 * floor
+def test_set_whose_times_differ_is_refused_by_name(tmp_path):
+    runs = [write(tmp_path, f"{name}.parquet", rows=200) for name in "xyz"]
+    table = pa.parquet.read_table(tmp_path / "z.parquet")
+    late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
+    pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
+    mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
+    with pytest.raises(
+        piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
+    ):
+        compensate_set([read_member(path) for path in runs], mounted)
+
+
+def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
+    words = [write(tmp_path, f"{name}.parquet", axes=orthogonal()[i]) for i, name in enumerate("xyz")]
+    for name in "xyz":
+        words += ["--calibration", tmp_path / f"{name}.json"]
+    for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):
+        code, _, text = command(monkeypatch, capsys, *words, "--out", tmp_path / f"{name}.parquet", *more)
+        assert code == 0, text
+    fine, slow = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
+    assert slow.column_names == ["t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "flags"]
+    last = np.searchsorted(fine["t"].to_numpy(), slow["t"].to_numpy()[-1] - 1e-9)
+    for axis in ("dvx", "dvy", "dvz"):
+        total = np.cumsum(fine[axis].to_numpy())[last]
+        assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12

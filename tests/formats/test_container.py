@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import h5py
 import numpy as np
 import openpyxl
+import pyarrow as pa
 import pytest
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow import parquet
+from scipy.io import savemat
 
 import piga
 from piga.errors import Where
@@ -86,13 +91,20 @@ def test_units_in_the_container_are_checked(tmp_path: Path) -> None:
 def test_matrices_structs_groups_and_labels(tmp_path: Path) -> None:
     data = columns()
     f = np.column_stack([data.pop(name) for name in ("fx", "fy", "fz")])
-    write_mat(tmp_path / "a.mat", {"log": data, "f": f, "pos": np.array(["one", "two"], object)[[0] * 40]})
+    log = data | {"inner": {"n": data["n"]}, "words": "text"}
+    write_mat(tmp_path / "a.mat", {"log": log, "f": f, "pos": np.array(["one", "two"], object)[[0] * 40]})
     wanted = ("log.t", "log.n", "f(:,1)", "f(:,2)", "f(:,3)")
     table = direct(tmp_path / "a.mat", wanted, "pos")
     np.testing.assert_array_equal(table.numbers["f(:,2)"], 0.1)
     assert table.label[1] == ("one",)
     with pytest.raises(piga.DataError, match="the matrix has 3 columns"):
         direct(tmp_path / "a.mat", ("f(:,4)",))
+    for name in ("log", "log.speed", "log.words", "log.t.n", "f.t", "f(:,0)"):
+        with pytest.raises(piga.DataError):
+            direct(tmp_path / "a.mat", (name,))
+    np.testing.assert_array_equal(
+        direct(tmp_path / "a.mat", ("log.inner.n",)).numbers["log.inner.n"], data["n"]
+    )
     with pytest.raises(piga.DataError, match=r"shape \(40, 3\).*needed(?s:.*)f\(:,1\)"):
         direct(tmp_path / "a.mat", ("f",))
     with h5py.File(tmp_path / "b.h5", "w") as out:
@@ -233,3 +245,92 @@ def test_text_of_matlab_v73(tmp_path: Path) -> None:
         direct(path, NAMES, "broken")
     run = piga.read_run(write_run(tmp_path, "v73.mat", data='segment = "position"'))
     assert run.labels == ("A", "位置 2", "7")
+
+
+# --- at the limits: lengths that cannot be, odd members
+
+
+def test_a_channel_longer_than_its_file(tmp_path: Path) -> None:
+    """Texts say how many they are and, apart from that, how many bytes: damage can make the two differ by anything."""
+    path = tmp_path / "run.tdms"
+    with TdmsWriter(path) as out:
+        out.write_segment(
+            [ChannelObject("log", "t", np.arange(40.0)), ChannelObject("log", "pos", ["up"] * 40)]
+        )
+    raw = path.read_bytes()
+    index = struct.pack("<IIQ", 0x20, 1, 40)  # texts, one dimension, forty of them
+    assert raw.count(index) == 1
+    assert whole(CONTAINERS[".tdms"](path, ("t",), "pos")).rows.size == 40
+    path.write_bytes(raw.replace(index, struct.pack("<IIQ", 0x20, 1, 1 << 40)))
+    with pytest.raises(piga.DataError, match="unpacks to more than 2048 MiB"):
+        CONTAINERS[".tdms"](path, ("t",), "pos")
+
+
+def test_parquet_that_does_not_fit(tmp_path: Path) -> None:
+    with pytest.raises(piga.DataError, match=r"run\.parquet: cannot be read \(No such file"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    data = {name: pa.array(values) for name, values in columns().items()}
+    parquet.write_table(pa.table(data | {"n": pa.array(["x"] * 40)}), tmp_path / "run.parquet")
+    with pytest.raises(piga.DataError, match="column 'n' holds string, not numbers"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    parquet.write_table(pa.table(data)[:0], tmp_path / "run.parquet")
+    with pytest.raises(piga.DataError, match="no data"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+    twice = pa.Table.from_arrays([*data.values(), data["n"]], names=[*data, "n"])
+    parquet.write_table(twice, tmp_path / "run.parquet")
+    with pytest.raises(piga.DataError, match="duplicate column name 'n'"):
+        piga.read_run(write_run(tmp_path, "run.parquet"))
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.tdms", "run.xlsx"])
+def test_containers_without_a_row(tmp_path: Path, name: str) -> None:
+    writer = {"run.h5": write_h5, "run.tdms": write_tdms, "run.xlsx": write_xlsx}[name]
+    writer(tmp_path / name, columns(0))
+    with pytest.raises(piga.DataError, match="no data"):
+        CONTAINERS[Path(name).suffix](tmp_path / name, NAMES, None)
+
+
+def test_tdms_labels_and_channels_of_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "run.tdms"
+    with TdmsWriter(path) as out:
+        out.write_segment(
+            [
+                ChannelObject("a", "t", np.arange(3.0)),
+                ChannelObject("b", "t", np.arange(3.0) + 1.0),
+                ChannelObject("a", "place", ["up", "up", "down"]),
+            ]
+        )
+    with pytest.raises(piga.DataError, match=r"(?s)several groups have a channel 't'.*'a/t', 'b/t'"):
+        CONTAINERS[".tdms"](path, ("t",), None)
+    result = whole(CONTAINERS[".tdms"](path, ("b/t",), "place"))
+    np.testing.assert_array_equal(result.numbers["b/t"], [1.0, 2.0, 3.0])
+    codes, names = result.label
+    assert [names[code] for code in codes] == ["up", "up", "down"]
+
+
+def test_sheets_without_names_or_rows(tmp_path: Path) -> None:
+    path = tmp_path / "run.xlsx"
+    for row, message in (((), "the sheet is empty"), ((0.0, 1, 1.0), "the first row holds numbers")):
+        book = openpyxl.Workbook()
+        book.active.append(row)
+        book.save(path)
+        with pytest.raises(piga.DataError, match=message):
+            CONTAINERS[".xlsx"](path, NAMES, None)
+
+
+ROWS = 300
+VALUES = np.round(100.0 * np.random.default_rng(1).random(ROWS)) + 0.5
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("shape", [(ROWS, 1), (1, ROWS), (ROWS // 3, 3), (1, 1)])
+def test_columns_are_those_that_were_written(tmp_path: Path, packed: bool, shape: tuple[int, int]) -> None:
+    values = VALUES[: shape[0] * shape[1]].reshape(shape)
+    savemat(tmp_path / "a.mat", {"other": VALUES, "x": values}, do_compression=packed)
+    wanted = {"x(:,1)": values[:, 0], f"x(:,{shape[1]})": values[:, -1]}
+    wanted |= {"x": values.reshape(-1)} if 1 in shape else {}
+    for name, values_of in wanted.items():
+        np.testing.assert_array_equal(direct(tmp_path / "a.mat", (name,)).numbers[name], values_of)
+    if 1 not in shape:
+        with pytest.raises(piga.DataError, match="a column is needed"):
+            direct(tmp_path / "a.mat", ("x",))

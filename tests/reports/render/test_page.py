@@ -137,10 +137,3 @@ def test_policy_admits_exactly_the_scripts_of_the_page():
     assert "script-src 'sha256" in policy
     assert "default-src 'none'" in policy
     assert "http" not in policy
-
-
-def test_figures_say_what_they_show_and_that_they_need_scripts():
-    text = page_html(page())
-    holder = text[text.index('<figure id="curve"') : text.index("</figure>")]
-    assert 'aria-label="Title plain angle [rad] against time [s]: plain."' in holder
-    assert re.search(r"<noscript>.*Allow scripts", holder)
