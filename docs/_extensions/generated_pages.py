@@ -29,9 +29,10 @@ from piga.describe.draft import words_of
 from piga.gravity_norm import SetFile
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
-from piga.records.run_file import METHOD_WORDS, RunFile
+from piga.records.run_file import RunFile
 from piga.records.terms import TERM_WORDS, UNITS
 from piga.stand.scenario import ScenarioTable
+from piga.terms import METHOD_WORDS
 from piga.text_files import si_unit, structs_in
 
 EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"

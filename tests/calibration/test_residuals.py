@@ -9,7 +9,7 @@ import pytest
 from benchmarks.constant_force import tumble
 
 import piga
-from piga.records.calibration.verdict import COUNTED
+from piga.records.calibration.diagnostics import COUNTED
 from piga.units import G0
 from tests.calibration.made.scenarios import SCENARIOS
 from tests.calibration.made.synthetic import TERMS, record

@@ -12,7 +12,7 @@ import piga
 from piga.calibration import uncertainty
 from piga.calibration.uncertainty import propagate_distributions, size_limits, source_draws
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
-from piga.records.run_file import Spread, shape_of, standard_uncertainty
+from piga.records.run_file import Spread, standard_uncertainty
 from tests.calibration.made.independent import Bench
 from tests.calibration.made.scenarios import COUPLED, SCENARIOS
 
@@ -69,8 +69,9 @@ def test_degrees_of_freedom_agree_with_gtc() -> None:
 def test_distributions_of_type_b() -> None:
     """Half-widths become standard uncertainties."""
     width = Spread(half_width="10 ppm", distribution="rectangular", degrees_of_freedom=8)
-    assert standard_uncertainty(width, "ppm", "x") == pytest.approx(1e-5 / math.sqrt(3.0))
-    assert shape_of(width) == ("rectangular", 8.0)
+    size, *shape = standard_uncertainty(width, "ppm", "x")
+    assert size == pytest.approx(1e-5 / math.sqrt(3.0))
+    assert shape == ["rectangular", 8.0]
     assert standard_uncertainty("2 arcsec", "arcsec", "x") == standard_uncertainty(
         Spread(value="2 arcsec"), "arcsec", "x"
     )

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from piga.calibration.model.design import Design
 from piga.calibration.weights import Noise, Whitener, rate_share, residual_increments
 from piga.records.arrays import changes, largest_size, middles, stored
-from piga.records.calibration.diagnostics import Diagnostics, Residuals, SegmentScatter, SegmentSummary
-from piga.records.calibration.verdict import COUNTED
+from piga.records.calibration.diagnostics import COUNTED, Diagnostics, Residuals, SegmentScatter, SegmentSummary
 from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0

@@ -38,8 +38,8 @@ from piga.records.calibration.diagnostics import (
     Residuals,
     SegmentScatter,
     SegmentSummary,
+    scale_over_nominal,
 )
-from piga.records.calibration.verdict import scale_over_nominal
 from piga.records.terms import GYRO, SERVO_TERMS
 from piga.results import Array
 

@@ -22,7 +22,6 @@ from piga.records.run_file import (
     Draw,
     UncertaintyTable,
     drawn_for,
-    shape_of,
     standard_uncertainty,
 )
 from piga.results import Array
@@ -181,10 +180,12 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
     """
     for name, like in UNCERTAINTY_UNITS.items():
         given = getattr(run.uncertainty, name)
-        standard = 0.0 if given is None else standard_uncertainty(given, like, f"[uncertainty] {name}")
+        if given is None:
+            continue
+        standard, distribution, degrees = standard_uncertainty(given, like, f"[uncertainty] {name}")
         if standard == 0.0:
             continue
-        value, shape = size * standard, (*shape_of(given), drawn_for(name))
+        value, shape = size * standard, (distribution, degrees, drawn_for(name))
         whole = partial(Source, run, name, from_si(standard, like), like, *shape)
         if name in ("reference_scale", "reference_repeatability", "gravity"):
             yield whole(force=_scale(run, value / G0 if name == "gravity" else value))

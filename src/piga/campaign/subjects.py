@@ -83,12 +83,17 @@ def of_calibration(calibration: Calibration, truth: Array) -> Outcome:
     return Outcome(columns, nees, expected, _seen(calibration))
 
 
+_NOISE_WORDS = ("drift", "scatter", "not white")
+"""A doubt with one of these words warns of the noise of the record."""
+
+
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """Kinds of noise that a calibration reports, terms that it suggests, and a doubt about the noise."""
+    doubts = [doubt.what for doubt in calibration.verdict.doubts]
     noise = {
         "random walk": calibration.angle_random_walk > 0.0,
         "scatter of the segments": calibration.segment_scatter > 0.0,
-        "doubt about the noise": calibration.verdict.warns_of_noise,
+        "doubt about the noise": any(word in doubt for doubt in doubts for word in _NOISE_WORDS),
     }
     missing = calibration.diagnostics.missing_terms
     suggested = dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing)

@@ -361,7 +361,7 @@ def _term_lines(name: str, unit: str, formula: str, meaning: str, shown_by: str,
 
 def methods(as_json: JsonOption = False) -> None:
     """List the methods of a calibration, and when to take which."""
-    from piga.records.run_file import METHOD_WORDS
+    from piga.terms import METHOD_WORDS
 
     rows = [{"name": name, "meaning": what, "use": use} for name, (what, use) in METHOD_WORDS.items()]
     tell(as_json, rows, ("{name}: {meaning}\n  use it   {use}".format(**row) for row in rows))

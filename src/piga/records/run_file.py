@@ -63,20 +63,14 @@ class GivenParameter:
     degrees_of_freedom: float = math.inf
 
 
-def given_parameter(name: str, given: Given | str | float, like: str, what: str) -> GivenParameter:
-    """A parameter in SI with its standard uncertainty (0 if none is given). ``what`` names the entry in messages."""
-    entry = given if isinstance(given, Given) else Given(value=given)
-    value = to_si(entry.value, like, what=what)
-    if entry.standard is None and entry.half_width is None:
-        return GivenParameter(name, value, 0.0, like)
-    spread = Spread(None, entry.standard, entry.half_width, entry.distribution, entry.degrees_of_freedom)
-    return GivenParameter(name, value, standard_uncertainty(spread, like, what), like, *shape_of(spread))
+def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> tuple[float, str, float]:
+    """Standard uncertainty in SI, distribution, and degrees of freedom (infinite if not given).
 
-
-def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> float:
-    """Standard uncertainty in SI. An entry that is negative, ambiguous or incomplete is refused."""
+    An entry that is negative, ambiguous or incomplete is refused. ``what`` names it in messages.
+    """
     spread = given if isinstance(given, Spread) else Spread(standard=given)
-    named = [n for n in ("value", "standard", "half_width") if getattr(spread, n) is not None]
+    names = ("standard", "half_width") if isinstance(spread, Given) else ("value", "standard", "half_width")
+    named = [name for name in names if getattr(spread, name) is not None]
     bounded, shape, nu = spread.distribution in _DIVISORS, spread.distribution, spread.degrees_of_freedom
 
     def refuse(message: str, remedy: str) -> NoReturn:
@@ -96,15 +90,7 @@ def standard_uncertainty(given: Spread | str | float, like: str, what: str) -> f
     size = to_si(getattr(spread, named[0]), like, what=what)
     if size < 0.0:
         refuse(f"'{getattr(spread, named[0])}' is negative", "give a standard uncertainty")
-    return size / _DIVISORS[shape] if named == ["half_width"] else size
-
-
-def shape_of(given: Spread | str | float) -> tuple[str, float]:
-    """Distribution and degrees of freedom (infinite if not given)."""
-    if not isinstance(given, Spread):
-        return "normal", math.inf
-    nu = given.degrees_of_freedom
-    return given.distribution, math.inf if nu is None else float(nu)
+    return size / (_DIVISORS[shape] if named == ["half_width"] else 1.0), shape, math.inf if nu is None else nu
 
 
 def in_unit(unit: str) -> msgspec.Meta:
@@ -130,21 +116,6 @@ PhaseSource = Literal["output", "input"]
 Method = Literal["information", "rate", "revolutions"]
 
 PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)
-METHOD_WORDS: dict[str, tuple[str, str]] = {
-    "information": (
-        "least squares of the whitened angle increments, reduced orthogonally",
-        "always, unless you want to compare; the only method whose intervals cover noise that is slow",
-    ),
-    "rate": (
-        "least squares of rates, differences of the angle",
-        "for records that hold rates, and to see what differencing loses",
-    ),
-    "revolutions": (
-        "mean rates over whole turns of the outer gimbal, as laboratories do it by hand",
-        "to compare with older records; needs whole turns in each position",
-    ),
-}
-"""What each method is, and when to use it."""
 
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -190,16 +161,21 @@ class ServoTable(TomlTable, frozen=True):
         """The given parameters, in SI. One that is not physical is refused."""
         where, parameters = "[instrument] servo", []
         for name, like in units_of(ServoTable).items():
-            if (given := getattr(self, name)) is None:
+            given, what = getattr(self, name), f"{where}.{name}"
+            if given is None:
                 continue
-            entry = given_parameter(name, given, like, f"{where}.{name}")
-            positive = name in ("integral_gain", "pendulosity", "angular_momentum")
-            if entry.value < 0.0 or (positive and entry.value == 0.0):
-                raise RunFileError(
-                    f"{where}.{name}: must be {'positive' if positive else 'zero or more'}",
-                    remedy="correct the value: the terms of the servo need a servo with integral gain",
-                )
-            parameters.append(entry)
+            value = to_si(given.value if isinstance(given, Given) else given, like, what=what)
+            least = (
+                "positive" if name in ("integral_gain", "pendulosity", "angular_momentum") else "zero or more"
+            )
+            if value < 0.0 or (least == "positive" and value == 0.0):
+                remedy = "correct the value: the terms of the servo need a servo with integral gain"
+                raise RunFileError(f"{what}: must be {least}", remedy=remedy)
+            uncertain = isinstance(given, Given) and (
+                given.standard is not None or given.half_width is not None
+            )
+            u, shape, nu = standard_uncertainty(given, like, what) if uncertain else (0.0, "normal", math.inf)
+            parameters.append(GivenParameter(name, value, u, like, shape, nu))
         if (self.pendulosity is None) == (self.angular_momentum is None):
             raise RunFileError(
                 f"{where}: one of pendulosity and angular_momentum is needed",
@@ -411,7 +387,7 @@ class UncertaintyTable(TomlTable, frozen=True):
     levelling_repeatability: Any = None
 
     def _si(self, value: Any, unit: str, what: str) -> float:
-        return standard_uncertainty(value, unit, what)
+        return standard_uncertainty(value, unit, what)[0]
 
     def of_the_stand(self) -> dict[str, Any]:
         """The stand-specific entries of this table."""

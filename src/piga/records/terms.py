@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from piga.errors import RunFileError
 from piga.terms import HARMONICS, TERMS, Term
-from piga.units import ARCSEC, parse_unit, to_si
+from piga.units import parse_unit, to_si
 
 UNITS = {name: term.unit for name, term in TERMS.items()}
 """Unit of each coefficient in ``calibration.json``; harmonics ``s1 c1 s2 c2 ...`` are in g."""
@@ -45,11 +45,6 @@ K are numbers in this unit, not in SI."""
 def integral_unit(unit: str) -> str:
     """Unit of the output integrated over time: rad of rad/s, count of count/s, V s of V."""
     return unit.removesuffix("/s") if unit.endswith("/s") else f"{unit} s"
-
-
-def shown_output(unit: str) -> tuple[float, str]:
-    """Unit in which an output is shown, and its size: an angle in seconds of arc, all others as they are."""
-    return (ARCSEC, unit.replace("rad", "arcsec", 1)) if unit.startswith("rad") else (1.0, unit)
 
 
 def scale_factor_in(value: str | float, unit: str, what: str = "scale_factor") -> float:

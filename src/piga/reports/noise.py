@@ -10,9 +10,8 @@ import numpy as np
 
 from piga.noise.analysis import NoiseAnalysis, level_unit
 from piga.noise.deviations import ONE_SIGMA, NoiseLevel, level_variances
-from piga.records.terms import shown_output
 from piga.reports.render.figure import Axis, Figure, Plot, Role
-from piga.reports.render.numbers import count, pretty_unit, short
+from piga.reports.render.numbers import count, pretty_unit, short, shown_output
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
 from piga.units import MICRO_G
 

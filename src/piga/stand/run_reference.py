@@ -36,7 +36,6 @@ from piga.records.run_file import (
     Spread,
     check_run_file,
     drawn_for,
-    shape_of,
     standard_uncertainty,
 )
 from piga.records.terms import GYRO
@@ -172,7 +171,8 @@ def _standard(name: str, error: str, written: Any) -> tuple[Any, tuple[str, floa
         remedy = "write e.g. { half_width = '1 arcsec', distribution = 'rectangular' }"
         raise ArgumentError(f"[uncertainty.{invalid.message[1:]}", remedy=remedy) from None
     unit = next(str(e.metadata["unit"]) for e in fields(Imperfections) if e.name == error)
-    return f"{from_si(standard_uncertainty(spread, unit, where), unit):.9g} {unit}", shape_of(spread)
+    standard, distribution, degrees = standard_uncertainty(spread, unit, where)
+    return f"{from_si(standard, unit):.9g} {unit}", (distribution, degrees)
 
 
 def _components(error: str, written: Any) -> Iterator[tuple[str, Any, Any]]:

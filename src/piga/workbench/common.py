@@ -20,8 +20,7 @@ from starlette.staticfiles import StaticFiles
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
-from piga.records.terms import shown_output
-from piga.reports.render.numbers import count, pretty_unit, rounded, significant
+from piga.reports.render.numbers import count, pretty_unit, rounded, shown_output, significant
 from piga.units import to_si
 from piga.workbench.folder import TRIALS, Folder, History
 from piga.workbench.jobs import Jobs

@@ -23,7 +23,7 @@ from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
 from piga.errors import DataError, PigaError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.verdict import scale_over_nominal
+from piga.records.calibration.diagnostics import scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array

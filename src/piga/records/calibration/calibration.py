@@ -26,8 +26,16 @@ from piga.records.calibration.coefficient import (
     StandSource,
     rounded,
 )
-from piga.records.calibration.diagnostics import Count, Diagnostics, Outlier, Quality, Residuals, SegmentSummary
-from piga.records.calibration.verdict import Verdict, verdict
+from piga.records.calibration.diagnostics import (
+    Count,
+    Diagnostics,
+    Outlier,
+    Quality,
+    Residuals,
+    SegmentSummary,
+    Verdict,
+    verdict,
+)
 from piga.records.run_file import check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, unit_of
 from piga.results import (
@@ -216,7 +224,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict of :func:`piga.records.calibration.verdict.verdict`: grade, reason, doubts, tests and sources."""
+        """The verdict of :func:`piga.records.calibration.diagnostics.verdict`: grade, reason, doubts, tests and sources."""
         return verdict(self)
 
     def __repr__(self) -> str:

@@ -20,11 +20,10 @@ from piga.calibration.orders import (
 from piga.calibration.residuals import lagged_products
 from piga.noise.deviations import allan_deviation
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.diagnostics import Residuals
-from piga.records.calibration.verdict import COUNTED
-from piga.records.terms import shown_output
+from piga.records.calibration.diagnostics import COUNTED, Residuals
 from piga.reports.calibration.tables import residual_quantity, scale_factor
 from piga.reports.render.figure import POINTS, Axis, Figure, Plot, Role, envelope_rows
+from piga.reports.render.numbers import shown_output
 from piga.results import Array
 from piga.units import ARCSEC, G0, MICRO_G
 

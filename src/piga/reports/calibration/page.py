@@ -11,7 +11,7 @@ from pathlib import Path
 from piga.errors import CalibrationError
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE
-from piga.records.terms import integral_unit, shown_output, shown_unit
+from piga.records.terms import integral_unit, shown_unit
 from piga.reports.calibration import tables
 from piga.reports.calibration.figures import (
     calibration_figures,
@@ -22,7 +22,7 @@ from piga.reports.calibration.figures import (
 )
 from piga.reports.calibration.tables import facts_table, residual_quantity
 from piga.reports.render.figure import Figure
-from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short
+from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short, shown_output
 from piga.reports.render.page import (
     ALONE,
     Content,

@@ -12,10 +12,19 @@ import numpy as np
 
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE, Amount, BudgetEntry, Coefficient
-from piga.records.calibration.diagnostics import Quality
-from piga.records.calibration.verdict import Grade
-from piga.records.terms import integral_unit, shown_output, shown_unit, term_words
-from piga.reports.render.numbers import Rounded, count, fixed, pretty_unit, relative, rounded, short, signed
+from piga.records.calibration.diagnostics import Grade, Quality
+from piga.records.terms import integral_unit, shown_unit, term_words
+from piga.reports.render.numbers import (
+    Rounded,
+    count,
+    fixed,
+    pretty_unit,
+    relative,
+    rounded,
+    short,
+    shown_output,
+    signed,
+)
 from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone, named_values
 from piga.units import ARCSEC, G0, MICRO_G
 

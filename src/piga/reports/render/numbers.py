@@ -13,6 +13,8 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 
+from piga.units import ARCSEC
+
 _DIGITS, _RAISED = "-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
 _RAISE, _LOWER = str.maketrans(_DIGITS, _RAISED), str.maketrans(_RAISED, _DIGITS)
 _ASCII = str.maketrans({
@@ -21,6 +23,11 @@ _ASCII = str.maketrans({
 })  # fmt: skip
 _MINUS, _EXPONENT = re.compile(r"(?<![\w)])-(?=\d)"), re.compile(r"(?<=[\d)])e(-?\d+)\b")
 _PRETTY = (("^2", "²"), ("^3", "³"), ("sqrt(s)", "√s"), ("sqrt(Hz)", "√Hz"), ("arcsec", "″"), ("degC", "°C"))
+
+
+def shown_output(unit: str) -> tuple[float, str]:
+    """Unit in which an output is shown, and its size: an angle in seconds of arc, all others as they are."""
+    return (ARCSEC, unit.replace("rad", "arcsec", 1)) if unit.startswith("rad") else (1.0, unit)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ import pytest
 
 import piga
 from piga.records.calibration.coefficient import NO_REFERENCE, BudgetEntry
-from piga.records.calibration.diagnostics import Diagnostics, Event, Quality
+from piga.records.calibration.diagnostics import SEPARATED, WELL_SEPARATED, Diagnostics, Event, Quality, verdict
 from piga.records.calibration.document import calibration_to_bytes
-from piga.records.calibration.verdict import SEPARATED, WELL_SEPARATED, verdict
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import page_html
 from piga.units import G0
