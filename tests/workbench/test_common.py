@@ -51,4 +51,3 @@ def test_a_field_keeps_what_was_typed_and_says_why_it_is_refused() -> None:
     assert (bare.typed, bare.refusal.partition(".")[0]) == ("2.5", "The unit is missing")
     assert field.with_sent({"hours": " "}).refusal == "This is needed. E.g. 2130 s."
     assert not Field("phase", like="rad").with_sent({}).refusal
-    assert Field("number").with_sent({"c:number": "7"}, "c:").value == "7"

@@ -1,4 +1,4 @@
-"""The answer: two pages with other terms, and what must not be kept."""
+"""A log that nothing describes: corrected columns, answers, refusals. The answer: other terms, what must not be kept."""
 
 from __future__ import annotations
 
@@ -8,14 +8,64 @@ from pathlib import Path
 
 import pytest
 
-from piga.workbench import jobs as room
-from piga.workbench.jobs import Jobs
+from piga.records.run_file import read_run_file
+from piga.workbench.common import FIT, LAPSE, Jobs
+from piga.workbench.folder import Folder
+from piga.workbench.record import sheet
 from tests.workbench.conftest import Client, shipped_record
+from tests.workbench.logs import german
 
-NAME, TERMS = "tumble-a.toml", ("scale_factor", "tan_beta", "k0")
-pytestmark = pytest.mark.long
+NAME = "tumble-a.toml"
+KEY = "instrument.scale_factor"
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    (tmp_path / "log.csv").write_bytes(german())
+    return Folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"), [("0,8884", "unit is missing"), ("0.8884 rad/s", "rad/s"), ("0,8884.1 rad/s/g", "comma in the number")]
+)  # fmt: skip
+def test_a_wrong_number_is_refused_at_its_field_and_kept(folder: Folder, typed: str, words: str) -> None:
+    made = sheet(folder, "log.csv", {KEY: typed, f"u:{KEY}": ""})
+    (field,) = [one for one in made.fields if one.key == KEY]
+    assert (field.typed, made.complete) == (typed, False)
+    assert words in field.refusal
+
+
+def test_the_run_file_is_complete_once_the_questions_are_answered(folder: Folder) -> None:
+    made = sheet(folder, "log.csv", {KEY: "0,8884", f"u:{KEY}": "rad/s/g"})
+    assert made.complete, made
+    run_file = read_run_file(folder.root / "log.toml", made.draft.text().encode())
+    assert run_file.instrument.scale_factor == "0.8884 rad/s/g"
+    assert run_file.data.output.column == "Z\u00e4hlerstand"
+
+
+def test_a_column_is_corrected_at_the_column(folder: Folder) -> None:
+    plain = sheet(folder, "log.csv", {})
+    names = [column.name for column in plain.described.columns]
+    at = names.index("fz")
+    made = sheet(folder, "log.csv", {f"role:{at}": "temperature", f"unit:{at}": "degC"})
+    assert made.draft.document["data"]["temperature"]["column"] == "fz"
+    assert made.described.columns[at].reason == "as you said"
+    assert "fz" not in str(made.draft.document["data"].get("reference", ""))
+    unknown = sheet(folder, "log.csv", {f"role:{at}": "<script>"})
+    assert "is not what a column can hold" in unknown.message
+    assert unknown.described.columns[at].kind == "force"
+
+
+def test_a_direct_instrument_is_asked_for_its_own_unit(tmp_path: Path) -> None:
+    rows = "".join(
+        f"{0.05 * k:.2f},{1.3 * (1 - 2 * (k // 50 % 2)):.5f},{1 - 2 * (k // 50 % 2)},0,0\n" for k in range(200)
+    )
+    (tmp_path / "direct.csv").write_text("time [s],output [V],fx [g],fy [g],fz [g]\n" + rows, encoding="utf-8")
+    made = sheet(Folder(tmp_path), "direct.csv", {"role:1": "direct", KEY: "1,3 V/g"})
+    assert made.draft.document["instrument"]["scale_factor"] == "1.3 V/g", made
+
+
+@pytest.mark.long
 def test_two_tabs_with_other_terms_are_both_answered(client: Client) -> None:
     """Neither stops the fit of the other while its page asks."""
     client.until(f"/record/{NAME}", lambda text: "data-drawn" in text)
@@ -29,6 +79,7 @@ def test_two_tabs_with_other_terms_are_both_answered(client: Client) -> None:
     assert all("Full report" in client.page(page) for page in pages)
 
 
+@pytest.mark.long
 def test_a_fit_that_no_page_asks_for_ends_and_comes_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -36,10 +87,10 @@ def test_a_fit_that_no_page_asks_for_ends_and_comes_again(
     jobs = Jobs(tmp_path)
     try:
         left, shown, other = (
-            jobs.start(("calibrate", NAME, "--out", place), room.FIT, subject, place)
+            jobs.start(("calibrate", NAME, "--out", place), FIT, subject, place)
             for place, subject in (("a", NAME), ("b", NAME), ("c", "other.toml"))
         )
-        left.asked = other.asked = time.time() - room.LAPSE - 1.0
+        left.asked = other.asked = time.time() - LAPSE - 1.0
         jobs.attend(shown)
         assert (left.was_stopped, shown.was_stopped, other.was_stopped) == (True, False, False)
         assert jobs.latest(NAME, "a") is None  # the page that comes back starts it anew
@@ -47,6 +98,7 @@ def test_a_fit_that_no_page_asks_for_ends_and_comes_again(
         jobs.stop_all()
 
 
+@pytest.mark.long
 def test_what_must_not_be_used_is_not_kept(client: Client, lab: Path) -> None:
     text = (lab / NAME).read_text(encoding="utf-8")
     (lab / "nine.toml").write_text(text.replace("0.8884 rad/s/g", "0.0987 rad/s/g"), encoding="utf-8")
@@ -60,6 +112,7 @@ def test_what_must_not_be_used_is_not_kept(client: Client, lab: Path) -> None:
     (lab / "nine.toml").unlink()
 
 
+@pytest.mark.long
 def test_a_pair_of_terms_needs_both(client: Client) -> None:
     """The boxes stay, and the answer says what is wrong."""
     client.until(f"/record/{NAME}", lambda text: "data-drawn" in text)

@@ -114,7 +114,7 @@ def test_the_first_screen_leads_to_an_answer_and_a_certificate(program: Any, tmp
         browser.open("/certificate?of=tumble-a-calibration")  # what was typed is there
         assert page.get_by_label("begin").input_value() == "2026-05-01"
         filled(page)
-        page.locator("[id='c:laboratory.name']").fill("Our Laboratory")
+        page.locator("[id='laboratory.name']").fill("Our Laboratory")
         page.get_by_role("button", name="Issue").click()
         page.get_by_role("link", name="certificate.html").wait_for()
     finally:
@@ -237,7 +237,7 @@ def test_a_certificate_is_issued(browser: Browser, place: Path) -> None:
     budgeted(calibration(serial="tumble-a", with_residuals=False)).to_json(made_up / "calibration.json")
     browser.open("/certificate?of=made-up-calibration")
     filled(page, day="2025-12-30")  # before the result
-    page.get_by_label("Also as digital certificate").check()
+    page.get_by_label("Also as digital certificate").select_option("yes")
     number = page.get_by_label("number").input_value()
     page.get_by_role("button", name="Issue").click()
     page.get_by_role("link", name="certificate.xml").wait_for()
@@ -257,8 +257,6 @@ def test_every_other_page_is_clean(browser: Browser, place: Path) -> None:
         "/text",
         "/text?file=twin.toml",
         "/text?example=plan-dividing-head.toml",
-        "/plan",
-        "/compensate",
         "/jobs",
         "/explore",
     ):
@@ -288,11 +286,7 @@ def test_a_plan_is_made_and_a_record_compensated(browser: Browser, place: Path) 
     page.get_by_role("link", name="Compensate", exact=True).wait_for()  # the page of the kept answer
     answered(browser)
     page.get_by_role("link", name="Compensate", exact=True).click()
-    page.get_by_label("Phase of the output zero").fill("0.48")
-    page.get_by_role("button", name="Compensate").click()
-    page.locator(".refusal", has_text="unit is missing").wait_for()
     browser.is_accessible()
-    page.get_by_label("Phase of the output zero").fill("")
     page.get_by_role("button", name="Compensate").click()
     page.get_by_role("link", name="tumble-a-compensated.parquet").wait_for()
     browser.is_accessible()

@@ -23,7 +23,7 @@ from piga.cli.simulate import plan, platform, reproduce, simulate
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
 
 if TYPE_CHECKING:
-    from piga.workbench.security import Door
+    from piga.workbench.app import Door
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""

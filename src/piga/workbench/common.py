@@ -1,14 +1,24 @@
-"""What all pages use: the opened folder, templates, form data, fields with units, files, errors."""
+"""What all pages use: the opened folder, jobs, templates, forms, fields with units, files, errors."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import IO, Any, Literal, cast
 from urllib.parse import parse_qsl, quote
 
 from starlette.concurrency import run_in_threadpool
@@ -23,11 +33,166 @@ from piga.errors import ArgumentError, PigaError, UnitError
 from piga.reports.render.numbers import count, pretty_unit, rounded, shown_output, significant
 from piga.units import to_si
 from piga.workbench.folder import TRIALS, Folder, History
-from piga.workbench.jobs import Jobs
-from piga.workbench.security import REPORT_POLICY
 
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "
+    "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
+)
+"""Policy of a report from the folder. Its scripts run in an origin of their own and reach no part of the bench."""
 _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
 """Largest form [bytes], and most of its fields."""
+LAPSE = 3.0
+"""Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record."""
+FIT = "Fit"
+"""Title of the fits of a record."""
+_PATIENCE, _LAST_PATIENCE = 2.0, 1.0
+"""Time [s] that a stopped job has to end by itself, and when the server ends."""
+_MOST_TEXT = 200_000
+"""Bytes of printed text that a page shows."""
+Sent = dict[str, str]
+"""The fields of a sent form; none when its page is opened."""
+
+
+@dataclass(eq=False)
+class Job:
+    """A job: its process with standard input, and the folder of what it prints.
+
+    ``command`` are the arguments of ``piga``, ``title`` and ``subject`` what it does and the record it is for, ``result`` the
+    folder or file of the results below the opened folder. ``started`` and ``asked`` are times [s since 1970]: of the start,
+    and of the last question of a page.
+    """
+
+    child: subprocess.Popen[bytes]
+    input: IO[bytes]
+    place: Path
+    command: tuple[str, ...] = ()
+    title: str = ""
+    subject: str = ""
+    result: str = ""
+    started: float = 0.0
+    asked: float = 0.0
+    was_stopped: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name of its folder, and of its page."""
+        return self.place.name
+
+    @property
+    def state(self) -> Literal["running", "done", "failed", "stopped"]:
+        """What became of it."""
+        code = self.child.poll()
+        if code is None:
+            return "running"
+        self.input.close()
+        return "done" if code == 0 else "stopped" if self.was_stopped else "failed"
+
+    @property
+    def progress(self) -> dict[str, Any]:
+        """What it does now (``what``), and which ``share`` of it is done, if known."""
+        with suppress(OSError, ValueError):
+            return dict(json.loads((self.place / "progress").read_text(encoding="utf-8")))
+        return {"what": "", "share": None}
+
+    def text(self, name: Literal["out", "err"]) -> str:
+        """What it printed on standard output or standard error (the last part of a long text)."""
+        with suppress(OSError), (self.place / name).open("rb") as stream:
+            stream.seek(max(stream.seek(0, os.SEEK_END) - _MOST_TEXT, 0))
+            return stream.read().decode("utf-8", "replace")
+        return ""
+
+
+class Jobs:
+    """The jobs of one folder: commands of piga that run beside the server, each in a process of its own.
+
+    A job is a command line, written to a process that waits for it. Its results are identical to those of the command, and
+    the page shows how to repeat it in a terminal. What it prints is kept in a private temporary folder. Jobs are known to this
+    server alone. A job whose server is gone ends as after Ctrl-C: it reads the end of its standard input then.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._folder = Path(tempfile.mkdtemp(prefix="piga-ui-"))
+        self.by_key: dict[str, Job] = {}
+        self._lock = threading.Lock()
+        self._spare = self._waiting()
+
+    def _waiting(self) -> Job:
+        """A process that has loaded what a command needs and waits for it: a command then starts at once."""
+        place = self._folder / f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+        place.mkdir()
+        environment = os.environ | {"PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "NO_COLOR": "1"}
+        with (place / "out").open("wb") as out, (place / "err").open("wb") as err:
+            child = subprocess.Popen(  # noqa: S603  piga itself
+                [sys.executable, "-P", "-m", "piga.cli.job", str(place)],
+                cwd=self._root, stdin=subprocess.PIPE, stdout=out, stderr=err, env=environment,
+                start_new_session=True,
+            )  # fmt: skip
+        return Job(child, cast("IO[bytes]", child.stdin), place)
+
+    def start(self, command: Sequence[str], title: str, subject: str, result: str = "") -> Job:
+        """Start ``piga`` with these arguments in the opened folder.
+
+        If the same command makes this result already, that job is returned.
+        """
+        with self._lock:  # many requests may ask at the same time
+            running = (job for job in self.all() if result and job.result == result and job.state == "running")
+            same = next(running, None)
+            if same is not None and same.command == tuple(command):
+                return same
+            if same is not None:
+                words = f"{result} is just being made with other options"
+                raise ArgumentError(words, remedy="wait until that job has ended, or stop it")
+            job = self._spare if self._spare.child.poll() is None else self._waiting()
+            self._spare = self._waiting()
+            job.command, job.title, job.subject, job.result = tuple(command), title, subject, result
+            job.started = job.asked = time.time()
+            job.input.write(json.dumps(command).encode() + b"\n")
+            job.input.flush()
+            self.by_key[job.key] = job
+            return job
+
+    def all(self) -> list[Job]:
+        """All jobs, the newest first."""
+        return list(reversed(list(self.by_key.values())))
+
+    def latest(self, subject: str, result: str) -> Job | None:
+        """The newest job for a record that makes this result, or None."""
+        return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
+
+    def attend(self, job: Job) -> None:
+        """A page waits for this job. Fits of the same record that no page waits for any more are ended and forgotten."""
+        job.asked = now = time.time()
+        for other in self.all():
+            is_fit = (other.title, other.subject) == (FIT, job.subject) and other.state == "running"
+            if is_fit and now - other.asked > LAPSE:
+                self.stop(other, patience=0.0)
+                self.forget(other)
+
+    def stop(self, *jobs: Job, patience: float = _PATIENCE) -> None:
+        """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
+        for job in jobs:
+            job.was_stopped |= job.child.poll() is None
+            job.input.close()
+        limit = time.monotonic() + patience
+        for job in jobs:
+            with suppress(subprocess.TimeoutExpired):
+                job.child.wait(max(limit - time.monotonic(), 0.0))
+            if job.child.poll() is None:
+                with suppress(OSError):
+                    os.killpg(job.child.pid, signal.SIGKILL) if hasattr(os, "killpg") else job.child.kill()
+                job.child.wait()
+
+    def stop_all(self) -> None:
+        """End all running jobs and remove what they printed (when the server ends)."""
+        self.stop(self._spare, *self.all(), patience=_LAST_PATIENCE)
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def forget(self, job: Job) -> None:
+        """Remove a job that has ended."""
+        if job.state != "running":
+            self.by_key.pop(job.key, None)
+            shutil.rmtree(job.place, ignore_errors=True)
 
 
 class Bench:
@@ -44,6 +209,11 @@ def bench_of(request: Request) -> Bench:
     return bench
 
 
+def sentence(words: str) -> str:
+    """Words with a capital at their begin."""
+    return words[:1].upper() + words[1:]
+
+
 def _moment(seconds: float) -> str:
     """A time in the zone of this machine."""
     with suppress(OSError, OverflowError, ValueError):
@@ -51,13 +221,8 @@ def _moment(seconds: float) -> str:
     return ""
 
 
-def sentence(words: str) -> str:
-    """Words with a capital at their begin."""
-    return words[:1].upper() + words[1:]
-
-
 @lru_cache(maxsize=1)
-def _environment() -> Any:
+def templates() -> Any:
     """The templates. Every value is escaped."""
     import jinja2
 
@@ -65,17 +230,24 @@ def _environment() -> Any:
         loader=jinja2.PackageLoader("piga.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    made.filters |= {"unit": pretty_unit, "count": count, "moment": _moment, "sentence": sentence}
-    made.filters |= {"number": lambda value, digits=4: significant(value, digits), "path": quote}
+    made.filters |= {
+        "unit": pretty_unit,
+        "count": count,
+        "moment": _moment,
+        "sentence": sentence,
+        "path": quote,
+    }
+    made.filters["number"] = lambda value, digits=4: significant(value, digits)
     made.globals |= {"rounded": rounded, "version": __version__, "output_unit": shown_output}
     return made
 
 
-def render(request: Request, template: str, code: int = 200, **values: Any) -> Response:
-    """A page from its template."""
+def render(request: Request, page: str, title: str, code: int = 200, **values: Any) -> Response:
+    """A page: its template in the frame of all pages."""
     bench = bench_of(request)
     shared = {"folder": bench.folder.root.name, "undo": bench.history.last, "at": request.url.path}
-    return HTMLResponse(_environment().get_template(template).render(shared | values), status_code=code)
+    shared |= {"page": f"{page}.html.jinja", "title": title}
+    return HTMLResponse(templates().get_template("frame.html.jinja").render(shared | values), status_code=code)
 
 
 def redirect(to: str) -> Response:
@@ -104,7 +276,7 @@ def _file(request: Request) -> Response:
 
 def error_page(request: Request, error: Exception) -> Response:
     """The page of an error: what is wrong, and the remedy. What a page typed is in the browser's Back."""
-    status = getattr(error, "status_code", 422)
+    status, changed = getattr(error, "status_code", 422), getattr(error, "lines", [])
     text, _, remedy = str(error).partition("\n  remedy: ")
     if isinstance(error, HTTPException):
         text = {404: "There is no such page.", 405: "This page does not take that."}.get(status, error.detail)
@@ -112,43 +284,37 @@ def error_page(request: Request, error: Exception) -> Response:
         text = f"{error.filename or 'a file'}: {error.strerror or error}"
     elif not isinstance(error, PigaError):
         status, text = 500, "This is an error of the bench. The terminal of piga ui shows more."
-    values = {"text": text, "remedy": remedy, "changed": getattr(error, "lines", [])}
-    page = render(request, "error.html.jinja", status, again=request.headers.get("referer", "/"), **values)
-    page.headers.update(
-        {"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"}
-    )  # of a part, too
+    title = "Changed meanwhile" if changed else "This cannot be done"
+    values = {"text": text, "remedy": remedy, "changed": changed, "again": request.headers.get("referer", "/")}
+    page = render(request, "error", title, status, **values)
+    whole = {"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"}  # of a part, too
+    page.headers.update(whole)
     return page
 
 
-Sent = dict[str, str]
-"""The fields of a sent form."""
-
-
-def posted(work: Callable[[Request, Sent], Response]) -> Callable[[Request], Awaitable[Response]]:
-    """A page that takes a form: ``work`` gets its fields, in a thread of its own."""
+def route(address: str, work: Callable[[Request, Sent], Response], *methods: str) -> Route:
+    """Route of a page with a form. ``work`` gets the fields that were posted, in a thread of its own."""
 
     async def handler(request: Request) -> Response:
-        body = bytearray()
-        async for part in request.stream():
-            body += part
-            if len(body) > _MOST_FORM:
-                raise ArgumentError("the form is too large", remedy=f"send at most {_MOST_FORM} bytes")
-        try:
-            fields = parse_qsl(
-                body.decode("utf-8"), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=_MOST_FIELDS,
-                errors="strict",
-            )  # fmt: skip
-        except ValueError:
-            raise ArgumentError("the form cannot be read", remedy="reload the page") from None
-        return await run_in_threadpool(work, request, dict(fields))
+        sent = await _sent(request) if request.method == "POST" else {}
+        return await run_in_threadpool(work, request, sent)
 
-    return handler
+    return Route(address, handler, methods=methods or ("GET", "POST"))
 
 
-def form(address: str, work: Callable[[Request, Sent], Response]) -> list[Route]:
-    """Routes of a page with a form: ``work`` gets no fields when the page is opened."""
-    opened = Route(address, lambda request: work(request, {}), methods=["GET"])
-    return [opened, Route(address, posted(work), methods=["POST"])]
+async def _sent(request: Request) -> Sent:
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_FORM:
+            raise ArgumentError("the form is too large", remedy=f"send at most {_MOST_FORM} bytes")
+    try:
+        fields = parse_qsl(
+            body.decode(), keep_blank_values=True, strict_parsing=bool(body), max_num_fields=_MOST_FIELDS, errors="strict"
+        )  # fmt: skip
+    except ValueError:
+        raise ArgumentError("the form cannot be read", remedy="reload the page") from None
+    return dict(fields)
 
 
 def in_line(error: PigaError) -> str:
@@ -178,9 +344,9 @@ class Field:
     rows: int = 0
     needed: bool = False
 
-    def with_sent(self, sent: Sent, prefix: str = "") -> Field:
+    def with_sent(self, sent: Sent) -> Field:
         """The field with what was typed, and why it is refused."""
-        typed = sent.get(prefix + self.key, self.typed).strip()
+        typed = sent.get(self.key, self.typed).strip()
         made = replace(self, typed=typed, unit=sent.get(f"u:{self.key}", ""))
         try:
             if not typed and self.needed:
@@ -212,12 +378,8 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
     return text
 
 
-def _health(_request: Request) -> Response:
-    return PlainTextResponse("ok\n")
-
-
 ROUTES = [
-    Route("/healthz", _health),
+    Route("/healthz", lambda _request: PlainTextResponse("ok\n")),
     Route("/file/{name:path}", _file),
     Mount("/assets", StaticFiles(packages=[("piga.workbench", "assets")])),
 ]

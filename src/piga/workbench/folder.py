@@ -13,7 +13,6 @@ import re
 import secrets
 import stat
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -47,9 +46,6 @@ _LONGEST_NAME = 100
 CALIBRATION = "calibration.json"
 _VERSION = re.compile(r"(.+?)(?:-v(\d{1,6}))?", re.DOTALL)
 """Folder of a kept calibration, and the number of an older version."""
-_UPLOAD_NAME = re.compile(r"[^\w.-]+")
-_MOST_STEPS, _MOST_TEXTS = 100, 300
-"""Changes that can be undone, and texts that are remembered to say what changed meanwhile."""
 
 
 class OutsideError(ArgumentError):
@@ -82,8 +78,8 @@ class Kept:
 class Entry:
     """A record: the name of its run file below the folder, or that of a log that no run file describes (state ``log``).
 
-    Other states are ``faulty`` (the run file cannot be used, see ``message``), ``ready`` and ``kept``. ``log``, ``size`` [bytes]
-    and ``changed`` [s since 1970] are those of the data file. ``kept`` are its calibrations, the newest first.
+    Other states are ``faulty`` (the run file cannot be used, see ``message``) and ``ready``. ``log``, ``size`` [bytes] and
+    ``changed`` [s since 1970] are those of the data file. ``kept`` are its calibrations, the newest first.
     """
 
     name: str
@@ -212,25 +208,22 @@ class Folder:
         files = [path for path in files if path.parent not in results]
         kept = [one for one in map(self.kept, sorted(results)) if one is not None]
         kept.sort(key=lambda one: (one.version != 0, one.version))
-        entries, described = list[Entry](), set[Path]()
-        for path in (path for path in files if path.suffix == ".toml"):
-            entry: Entry | None = self._once(self._described, path)
-            if entry is None:
-                continue
-            data, place = path.parent / entry.log, self.name(results_of(path))
-            described.add(data)
-            entry = replace(entry, kept=tuple(one for one in kept if one.record == place))
+        runs = {path: self._once(self._described, path) for path in files if path.suffix == ".toml"}
+        records: dict[Path, Entry] = {path: entry for path, entry in runs.items() if entry is not None}
+        described = {path.parent / entry.log for path, entry in records.items()}
+        logs = (path for path in files if file_kind(path) in _LOG_SUFFIXES and path not in described)
+        records |= {path: Entry(self.name(path), "log", log=path.name) for path in logs}
+        entries = []
+        for path, entry in records.items():
+            mine = tuple(one for one in kept if one.record == self.name(results_of(path)))
+            data, more = path.parent / entry.log, dict[str, Any]()
             if entry.log and _is_regular(data):
-                entry = _measured(entry, data)
-                state = "kept" if entry.kept and entry.state == "ready" else entry.state
-                entry = replace(entry, state=state)
+                status = data.stat()
+                more = {"size": status.st_size, "changed": status.st_mtime}
             elif entry.state == "ready":
                 words = f"{entry.log}: there is no such file beside the run file\n  remedy: copy it there"
-                entry = replace(entry, state="faulty", message=words)
-            entries.append(entry)
-        for path in files:
-            if file_kind(path) in _LOG_SUFFIXES and path not in described:
-                entries.append(_measured(Entry(self.name(path), "log", log=path.name), path))
+                more = {"state": "faulty", "message": words}
+            entries.append(replace(entry, kept=mine, **more))
         return sorted(entries, key=lambda entry: (-entry.changed, entry.name))
 
     def _described(self, path: Path) -> Entry | None:
@@ -268,7 +261,7 @@ class Folder:
             return None
         named, nominal = {one.name: one for one in made.coefficients}, made.scale_factor_nominal * G0
         one = named.get("scale_factor") or named.get("k1")
-        if one is None or not nominal:
+        if one is None:
             return None
         size, unit = (1.0, one.unit) if one.name == "scale_factor" else (nominal, f"{made.unit}/g")
         K, u = size * (one.value + (one.name == "k1")), size * one.std  # k1 is relative
@@ -295,7 +288,7 @@ class Folder:
 
     def free_for(self, wanted: str) -> Path:
         """A path for an uploaded file: the letters and digits of its name."""
-        plain = _UPLOAD_NAME.sub("-", PurePosixPath(wanted.replace("\\", "/")).name).strip(".-")
+        plain = plain_name(PurePosixPath(wanted.replace("\\", "/")).name)
         kind = file_kind(Path(plain or "x"))
         if kind not in (*_LOG_SUFFIXES, ".toml"):
             words = f"{wanted[:200]!r}: files of this kind are not accepted"
@@ -308,16 +301,16 @@ def results_of(run: Path) -> Path:
     return run.with_name(f"{run.stem}-calibration")
 
 
+def plain_name(text: str) -> str:
+    """The letters and digits of a text, for the name of a file or folder."""
+    return re.sub(r"[^\w.-]+", "-", text).strip(".-")
+
+
 def _is_plain(name: str) -> bool:
     """True for a path below the folder that is not hidden and does not begin as an option does."""
     pure = PurePosixPath(name)
     wrong = "\\" in name or "\0" in name or len(name) > 4 * MAX_NAME or pure.is_absolute() or not pure.parts
     return not wrong and not any(part.startswith((".", "-")) for part in pure.parts)
-
-
-def _measured(entry: Entry, data: Path) -> Entry:
-    status = data.stat()
-    return replace(entry, size=status.st_size, changed=status.st_mtime)
 
 
 def _is_regular(path: Path) -> bool:
@@ -345,7 +338,7 @@ class History:
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._changes: deque[tuple[str, Path, Path | None]] = deque(maxlen=_MOST_STEPS)
+        self._changes: list[tuple[str, Path, Path | None]] = []
         self._texts: dict[str, str] = {}
         self.lock = threading.RLock()
 
@@ -366,49 +359,44 @@ class History:
     def _place_for(self, path: Path) -> Path:
         return self._folder.state_room("trash") / f"{secrets.token_hex(6)}-{path.name[-80:]}"
 
-    def undo(self) -> str:
-        """Take the last change back; what it was, in words."""
+    def undo(self) -> None:
+        """Take the last change back."""
         with self.lock:
             if not self._changes:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
-            words, path, former = self._changes.pop()
+            _, path, former = self._changes.pop()
             if (
                 former is None or former.is_dir()
             ):  # a file is replaced at once: a page may ask for it at any time
                 self.put_away(path)
             if former is not None:
                 former.replace(path)
-            return words
 
     def seen(self, text: str) -> str:
         """The mark of a text that a page shows."""
         mark = hashlib.sha256(text.encode()).hexdigest()[:24]
-        self._texts.pop(mark, None)
         self._texts[mark] = text
-        for old in list(self._texts)[:-_MOST_TEXTS]:
-            self._texts.pop(old, None)
         return mark
 
     def write(self, name: str, seen: str, text: str, words: str) -> None:
         """Write a TOML file of the folder if it is valid, and what the page had seen. ``seen`` is empty for a new file."""
         with self.lock:
-            path, text = self._folder.path(name), text.replace("\r\n", "\n")
-            is_new = not path.exists()
-            former_raw = b"" if is_new else self._folder.read(path, _MOST_TOML)
-            before = former_raw.decode("utf-8", "replace")
-            if seen != ("" if is_new else self.seen(before)):
+            path, raw = self._folder.path(name), text.replace("\r\n", "\n").encode()
+            before = self._folder.read(path, _MOST_TOML) if path.exists() else None
+            now = "" if before is None else before.decode("utf-8", "replace")
+            if seen != ("" if before is None else self.seen(now)):
                 saw = self._texts.get(seen, "").splitlines()
-                lines = list(difflib.unified_diff(saw, before.splitlines(), lineterm="", n=0))[2:42]
+                lines = list(difflib.unified_diff(saw, now.splitlines(), lineterm="", n=0))[2:42]
                 raise ChangedError(name, [line for line in lines if line[:1] in "+-"])
-            if text == before:
+            if raw == before:
                 return
-            raw = text.encode("utf-8")
             if len(raw) > _MOST_TOML:
                 raise OutsideError(f"{path.name}: is larger than {_MOST_TOML >> 20} MiB", remedy="shorten it")
             if "data" in toml_document(path, raw):
                 read_run_file(path, raw)
-            former = None if is_new else self._place_for(path)
-            if former is not None:
-                former.write_bytes(former_raw)
-            write_whole(path, lambda part: part.write_bytes(raw), replace=not is_new)
+            former = None
+            if before is not None:
+                former = self._place_for(path)
+                former.write_bytes(before)
+            write_whole(path, lambda part: part.write_bytes(raw), replace=before is not None)
             self.note(words, path, former)

@@ -6,16 +6,14 @@ the regimes of the motion under constant input.
 
 from __future__ import annotations
 
-import contextlib
 import secrets
 import shlex
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
-import numpy as np
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
@@ -25,43 +23,43 @@ from piga.certificate.page import is_draft
 from piga.data import example_files
 from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
-from piga.instrument import (
-    Instrument,
-    closed_form,
-    dead_zone,
-    fixed_points,
-    mean_rate,
-    regime,
-    revolution_period,
-)
-from piga.reports import Page, Plot, Section, Tile, page_html
-from piga.reports.render.numbers import significant
-from piga.reports.stand import locking_figure
+from piga.instrument import Instrument
+from piga.reports import page_html
+from piga.reports.stand import constant_input_page
 from piga.text_files import toml_document, toml_text, toml_value
-from piga.units import G0, to_si
+from piga.units import to_si
 from piga.workbench.common import (
+    REPORT_POLICY,
     Bench,
     Field,
+    Job,
     Sent,
     bench_of,
-    form,
     redirect,
     render,
+    route,
     start,
+    templates,
 )
-from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError
-from piga.workbench.jobs import Job
+from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError, plain_name
 from piga.workbench.record import kept_of, left
-from piga.workbench.security import REPORT_POLICY
 
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
 
-def _plain(name: str) -> str:
-    """The letters and digits of a name, for a folder."""
-    text = "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")
-    return text.encode()[:80].decode("utf-8", "ignore") or "instrument"
+def _form(
+    request: Request,
+    title: str,
+    words: str,
+    groups: Mapping[str, list[tuple[Field, str]]],
+    code: int = 200,
+    **more: Any,
+) -> Response:
+    """The page of a form: its fields by group, each with its class."""
+    shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
+    usual = {"method": "post", "hidden": {}, "lamp": None, "buttons": {"": title}, "link": "", "shown": ""}
+    return render(request, "form", title, code, words=words, groups=groups, **shown, **(usual | more))
 
 
 def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
@@ -120,14 +118,16 @@ def _own(bench: Bench, kept: Kept) -> tuple[dict[str, Any], str, dict[str, str]]
     While laboratory or customer are those of the example, no other entry of the example is the laboratory's own.
     """
     document, text, theirs = dict[str, Any](), "", dict[str, Any]()
-    with contextlib.suppress(OutsideError):  # there is none yet
+    with suppress(OutsideError):  # there is none yet
         text = bench.folder.text(CERTIFICATE)
         document = toml_document(Path(CERTIFICATE), text.encode())
         theirs = _EXAMPLE if is_draft(read_certificate_file(CERTIFICATE, content=text)) else {}
     known = {key: value for key, value in _entries(document).items() if value != theirs.get(key)}
     known |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
     numbers = (known.get("certificate.number"), *(f"{time.strftime('%Y')}-{n:04d}" for n in range(1, 10000)))
-    unused = (one for one in numbers if one and not (bench.folder.root / f"certificate-{_plain(one)}").exists())
+    unused = (
+        one for one in numbers if one and not (bench.folder.root / f"certificate-{plain_name(one)}").exists()
+    )
     known["certificate.number"] = next(unused)
     return document, text, {key: _shown(key, known.get(key, "")) for key in _EXAMPLE}
 
@@ -141,18 +141,18 @@ def _fault(key: str, missing: list[str]) -> str:
 
 def _certificate(request: Request, sent: Sent) -> Response:
     """The form of a certificate. What was sent is saved and shown as a draft; or issued, if nothing is missing."""
-    bench, of = bench_of(request), sent.get("of") or request.query_params.get("of", "")
+    bench, of = bench_of(request), request.query_params.get("of", "")
     kept, command = kept_of(bench, of), []
     document, text, values = _own(bench, kept)
     seen = sent.get("seen", bench.history.seen(text) if text else "")
-    values |= {key: sent[f"c:{key}"].strip() for key in _EXAMPLE if f"c:{key}" in sent}
+    values |= {key: sent[key].strip() for key in _EXAMPLE if key in sent}
     entries = {key: _typed(key, value) for key, value in values.items()}
     text, number = _document(document, entries), values["certificate.number"]
     try:
         missing = missing_items(read_certificate_file(CERTIFICATE, content=text), kept.calibration)
         missing = [one for one in missing if not one.startswith(_MADE_LATER)]
         if sent.get("do") == "issue" and not missing:
-            command = ["--data", CERTIFICATE, "--out", f"certificate-{_plain(number)}"]
+            command = ["--data", CERTIFICATE, "--out", f"certificate-{plain_name(number)}"]
         elif sent.get("do") == "draft":  # the entries of the example stand where there are no own ones
             place = bench.folder.state_room("trials") / secrets.token_hex(8)
             shown = {key: value or _EXAMPLE[key] for key, value in entries.items()}
@@ -166,63 +166,59 @@ def _certificate(request: Request, sent: Sent) -> Response:
         command += ["--dcc"] if sent.get("dcc") else []
         issue = ("certificate", "issue", f"{kept.name}/{CALIBRATION}", *command)
         return start(request, issue, "Certificate", kept.name, command[3])
-    places, items, marked = {place.path: place for place in places_of("certificate")}, [], set[str]()
+    groups: dict[str, list[tuple[Field, str]]] = {}
+    places, marked = {place.path: place for place in places_of("certificate")}, set[str]()
     for key, example in _EXAMPLE.items():
         table, _, last = key.rpartition(".")
         kinds = [one.strip('"') for one in places[key].kind.split(" | ")]
         choices = (("", "\u2013"), *zip(kinds, kinds, strict=True)) if len(kinds) > 1 else ()
         note = f"One line each: {'; '.join(_COLUMNS[key])}." if key in _COLUMNS else places[key].words.sentence
         rows = 5 if key in _COLUMNS else 2 if key in _LISTS else 0
-        field = Field(
-            key, last.replace("_", " "), _shown(key, example), note, values[key], choices=choices, rows=rows
-        )
         fault = _fault(key, missing)
         marked.add(fault)
-        items.append((table or key, replace(field, refusal=fault if sent else ""), "missing" if fault else ""))
-    return render(
-        request, "certificate.html.jinja", 422 if sent else 200, **left(bench, kept_name=of), one=kept, seen=seen,
-        items=items, missing=missing, other=[one for one in missing if one not in marked],
+        field = Field(
+            key, last.replace("_", " "), _shown(key, example), note, values[key], refusal=fault if sent else "",
+            choices=choices, rows=rows,
+        )  # fmt: skip
+        groups.setdefault(table or key, []).append((field, "missing" if fault else ""))
+    note = "To sign it, add --key KEY.pem --certificate CERT.pem to the command that the next page shows."
+    dcc = Field("dcc", "also as digital certificate (DCC)", note=note, choices=(("", "no"), ("1", "yes")))
+    groups["digital certificate"] = [(dcc, "")]
+    first = "An entry that is missing is marked below." if missing else "The certificate can be issued."
+    reasons = "\n".join([first, *(one for one in missing if one not in marked)])
+    state = ("amber", f"DRAFT: {len(missing)} to settle") if missing else ("green", "Complete")
+    words = f"Calibration of {kept.created[:10]}. Each entry must be your own; the grey words are an example."
+    return _form(
+        request, f"Certificate of {kept.calibration.serial}", words, groups, 422 if sent else 200,
+        lamp=(*state, reasons), hidden={"seen": seen}, buttons={"draft": "See the draft", "issue": "Issue"},
     )  # fmt: skip
 
 
 def _asked(
-    request: Request, sent: Sent, title: str, words: str, fields: list[Field], link: str = ""
-) -> tuple[dict[str, Field], Response | None]:
-    """The options of a command as sent; and the page that asks for them, unless all are sent and none is refused."""
-    typed = [field.with_sent(sent) for field in fields] if sent else fields
-    if sent and not any(field.refusal for field in typed):
-        return {field.key: field for field in typed}, None
-    shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
-    values = shown | {"title": title, "words": words, "fields": typed, "link": link, "shown": None}
-    return {}, render(request, "form.html.jinja", 422 if sent else 200, **values)
+    request: Request, sent: Sent, title: str, words: str, field: Field, link: str = ""
+) -> str | Response:
+    """What was sent for a field; else the page that asks for it."""
+    field = field.with_sent(sent) if sent else field
+    if sent and not field.refusal:
+        return field.value
+    return _form(request, title, words, {"": [(field, "")]}, 422 if sent else 200, link=link)
 
 
 def _compensation(request: Request, sent: Sent) -> Response:
-    """The form of a compensation; with what was sent, its start."""
-    bench = bench_of(request)
-    folder, of = bench.folder, request.query_params.get("of", "")
-    runs = tuple((entry.name, entry.name) for entry in folder.entries() if entry.state in ("ready", "kept"))
-    results = left(bench, kept_name=of)["kept"]
-    kept = tuple((one.name, f"{one.name}: {one.created[:10]}") for one in results)
-    fields = [
-        Field("run", "record", choices=runs),
-        Field("of", "calibration", choices=kept, typed=of),
-        Field("phase", "phase of the output zero, if it is known (else empty)", "0.48 rad", like="rad"),
-        Field("identify-phase", "or: estimate it from the first stretch at rest", "60 s", like="s"),
-    ]
+    bench, of = bench_of(request), request.query_params.get("of", "")
+    folder, calibration = bench.folder, f"{kept_of(bench, of).name}/{CALIBRATION}"
     words = (
-        "The cross-coupling is taken off the record with the coefficients of a kept calibration. "
-        "The file is written beside the record. Other rates, CSV, and a calibration of another serial number: piga compensate."
+        f"The cross-coupling is taken off a record with the coefficients of {of}. The file is written beside the record. "
+        "Phase of the output zero, other rates, CSV, and another serial number: piga compensate."
     )
-    asked, page = _asked(request, sent, "Compensate", words, fields if kept else [])
-    if page is not None:
-        return page
-    run = folder.toml(asked["run"].typed)
-    calibration = f"{kept_of(bench, asked['of'].typed).name}/{CALIBRATION}"
+    runs = tuple((entry.name, entry.name) for entry in folder.entries() if entry.state == "ready")
+    name = _asked(request, sent, "Compensate", words, Field("run", "record", choices=runs))
+    if isinstance(name, Response):
+        return name
+    run = folder.toml(name)
     out = run.with_name(f"{run.stem}-compensated.parquet")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
-    command += [f"--{field.key}={field.value}" for field in asked.values() if field.like and field.typed]
     return start(request, command, "Compensate", folder.name(run), folder.name(out))
 
 
@@ -230,24 +226,20 @@ def _plan(request: Request, sent: Sent) -> Response:
     """The form of a plan; with what was sent, the plan for this instrument is written and run."""
     import tomlkit
 
-    bench, of = bench_of(request), request.query_params.get("of", "")
-    hours = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
+    bench, kept = bench_of(request), kept_of(bench_of(request), request.query_params.get("of", ""))
     words = (
-        "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins "
-        f"with example values of stand and instrument{', and with its serial number and K' if of else ''}; every entry "
-        "can be changed as text afterwards."
+        "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins with example "
+        "values of stand and instrument, and with its serial number and K; every entry can be changed as text afterwards."
     )
-    asked, page = _asked(request, sent, "Plan the test", words, [hours], f"/text?example={_PLAN}")
-    if page is not None:
-        return page
+    hours = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
+    duration = _asked(request, sent, "Plan the test", words, hours, f"/text?example={_PLAN}")
+    if isinstance(duration, Response):
+        return duration
     document: Any = tomlkit.parse(example_files()[_PLAN].decode("utf-8"))
-    document["plan"]["duration"] = asked["hours"].value
-    if of:
-        kept = kept_of(bench, of)
-        document["instrument"]["serial"] = kept.calibration.serial
-        document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
-    stem = f"plan-{_plain(str(document['instrument']['serial']))}"
-    name = bench.folder.free(bench.folder.root, stem, ".toml").name
+    document["plan"]["duration"] = duration
+    document["instrument"]["serial"] = kept.calibration.serial
+    document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
+    name = bench.folder.free(bench.folder.root, f"plan-{plain_name(kept.calibration.serial)}", ".toml").name
     bench.history.write(name, "", tomlkit.dumps(document), f"plan {name}")
     out = name.removesuffix(".toml")
     return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
@@ -263,7 +255,7 @@ _COMMANDS = {
 
 
 def _commands(text: str) -> tuple[str, ...]:
-    with contextlib.suppress(PigaError):
+    with suppress(PigaError):
         document = toml_document(Path("the text"), text.encode())
         return next((words for table, words in _COMMANDS.items() if table in document), ())
     return ()
@@ -293,9 +285,9 @@ def _text(request: Request, sent: Sent) -> Response:
     there = bool(name) and bench.folder.path(name).is_file()
     names = [bench.folder.name(path) for path in bench.folder.files() if path.suffix == ".toml"]
     return render(
-        request, "text.html.jinja", 422 if message else 200, **left(bench, name), file=name, text=text, message=message,
-        seen=bench.history.seen(bench.folder.text(name)) if there else "", commands=_commands(text), names=names[:500],
-        example=example, examples=examples,
+        request, "text", name or "Show as text", 422 if message else 200, **left(bench, name), file=name, text=text,
+        message=message, commands=_commands(text), names=names[:500], example=example, examples=examples,
+        seen=bench.history.seen(bench.folder.text(name)) if there else "",
     )  # fmt: skip
 
 
@@ -314,32 +306,31 @@ def _run(request: Request, name: str, word: str, commands: tuple[str, ...]) -> R
 
 def _job_of(request: Request) -> tuple[Bench, Job]:
     bench = bench_of(request)
-    job = bench.jobs.get(request.path_params["key"])
+    job = bench.jobs.by_key.get(request.path_params["key"])
     if job is None:
         raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
     return bench, job
 
 
 def _show_jobs(request: Request) -> Response:
-    return render(request, "jobs.html.jinja", jobs=bench_of(request).jobs.all())
+    return render(request, "jobs", "Jobs", jobs=bench_of(request).jobs.all())
 
 
 def _show_job(request: Request) -> Response:
-    """One job: its state, what it printed, its files."""
     bench, job = _job_of(request)
     state, line = job.state, f"piga {shlex.join(job.command)}"
     files = _result_files(bench, job) if state == "done" else []
-    return render(request, "job.html.jinja", job=job, state=state, line=line, files=files)
+    return render(request, "job", f"{job.title} {job.subject}", job=job, state=state, line=line, files=files)
 
 
 def _progress(request: Request) -> Response:
     """How far a job is; pages ask every 0.4 s. When it has ended, the part that waits for it asks for itself again."""
     bench = bench_of(request)
-    job = bench.jobs.get(request.path_params["key"])
+    job = bench.jobs.by_key.get(request.path_params["key"])
     if job is None or job.state != "running":
         return Response(headers={"hx-trigger": "ended"})
     bench.jobs.attend(job)
-    return render(request, "progress.html.jinja", job=job)
+    return HTMLResponse(templates().get_template("progress.html.jinja").render(job=job))
 
 
 def _stop_job(request: Request) -> Response:
@@ -365,67 +356,31 @@ _EXPLORED = (
     Field("K", "scale factor K", "0.8884 rad/s/g", typed="0.8884 rad/s/g", like="rad/s/g", needed=True),
     Field("time", "time shown", "200 s", typed="200 s", like="s", needed=True),
 )
-_POINTS = 601
 
 
 def _explore(request: Request) -> Response:
-    """The regimes of the motion under constant input: the values that are asked for, and a page of figures."""
-    fields = [field.with_sent(dict(request.query_params)) for field in _EXPLORED]
-    given = urlencode({field.key: field.value for field in fields if not field.refusal})
-    shown = "" if any(field.refusal for field in fields) else f"/explore/page?{given}"
-    if shown:  # what no instrument has is refused here, not in the frame
-        Instrument(beta=fields[2].value, scale_factor=fields[3].value)
+    """The values of a constant input; with ``report``, the report on its motion that the page shows in a frame."""
+    query = dict(request.query_params)
+    fields = [field.with_sent(query) for field in _EXPLORED]
+    is_refused = any(field.refusal for field in fields)
+    if not is_refused:
+        a_x, a_t, beta, K, shown = (field.value for field in fields)
+        inst = Instrument(scale_factor=K, beta=beta)  # what no instrument has is refused here, not in the frame
+        if "report" in query:
+            page = constant_input_page(inst, to_si(a_x, "m/s^2"), to_si(a_t, "m/s^2"), abs(to_si(shown, "s")))
+            return HTMLResponse(page_html(page), headers={"content-security-policy": REPORT_POLICY})
     words = "The motion of the gimbal under constant specific force. Every published case, computed and compared: piga reproduce."
-    values = {"title": "Explore", "words": words, "fields": fields, "link": "", "shown": shown}
-    return render(request, "form.html.jinja", 422 if not shown else 200, **left(bench_of(request)), **values)
-
-
-def _explored(request: Request) -> Response:
-    """Regime, lock zone and motion for given values, as a report."""
-    asked = {field.key: field.with_sent(dict(request.query_params)) for field in _EXPLORED}
-    inst = Instrument(scale_factor=asked["K"].value, beta=asked["beta"].value)
-    a_x, a_t, time_shown = (
-        to_si(asked[key].value, asked[key].like, what=key) for key in ("a_x", "a_t", "time")
-    )
-    forces, degree, turn = (a_x, a_t, 0.0), 180.0 / np.pi, 2.0 * np.pi
-    name, border = regime(inst, *forces), float(dead_zone(inst, a_t, 0.0)[1])
-    alpha, t = np.linspace(-np.pi, np.pi, _POINTS), np.linspace(0.0, abs(time_shown), _POINTS)
-    rates = Plot("rates", "Rate against angle.", "output angle \u03b1 [deg]", "output rate [deg/s]")
-    rate = degree * inst.scale_factor * (a_x + inst.tan_beta * a_t * np.sin(alpha))
-    rates.line(degree * alpha, rate, "rate", "after").level(degree * alpha, 0.0, "at rest", "muted")
-    tiles = [
-        Tile("regime", name),
-        Tile("locked zone of a_x", f"\u00b1 {significant(border / (1e-3 * G0), 4)}", "mg"),
-        Tile("mean output rate", significant(degree * float(mean_rate(inst, *forces)), 4), "deg/s"),
-    ]
-    if name == "running":
-        tiles.append(Tile("one revolution", significant(float(revolution_period(inst, *forces)), 4), "s"))
-    if name == "locked":
-        rests = [degree * float(at) for at in fixed_points(inst, *forces)]
-        tiles.append(Tile("rest angle", significant(rests[0], 4), "deg"))
-        for words, at in zip(("stable rest", "unstable rest"), rests, strict=True):
-            rates.points([at], [0.0], words, "model" if words == "stable rest" else "warning")
-    motion = Plot("motion", "Output angle against time.", "time [s]", "output angle \u03b1 [rev]")
-    motion.line(t, closed_form(inst, t, *forces)[0] / turn, "with cross-coupling", "after")
-    motion.dashed(t, inst.scale_factor * a_x * t / turn, "without")
-    content = (
-        rates.caption("Where the curve crosses zero the gimbal can rest."),
-        locking_figure(inst, (a_t,)),
-        motion.caption("The exact closed form, from \u03b1 = 0."),
-    )
-    page = Page(
-        "Constant input", "", tuple(tiles), (Section("Motion", "the-motion", content),), "piga \u00b7 explore"
-    )
-    return HTMLResponse(page_html(page), headers={"content-security-policy": REPORT_POLICY})
+    frame = "" if is_refused else f"/explore?report=1&{request.url.query}"
+    groups = {"": [(field, "") for field in fields]}
+    return _form(request, "Explore", words, groups, 422 if is_refused else 200, method="get", shown=frame)
 
 
 ROUTES = [
-    *form("/certificate", _certificate),
-    *form("/compensate", _compensation),
-    *form("/plan", _plan),
-    *form("/text", _text),
+    route("/certificate", _certificate),
+    route("/compensate", _compensation),
+    route("/plan", _plan),
+    route("/text", _text),
     Route("/explore", _explore),
-    Route("/explore/page", _explored),
     Route("/jobs", _show_jobs),
     Route("/jobs/{key}", _show_job),
     Route("/jobs/{key}/progress", _progress),

@@ -1,13 +1,14 @@
-"""The bench of one instrument: its records and kept calibrations, a record as a picture, the answer beside it."""
+"""A record, from its log to kept calibrations: the questions that the log leaves open, its picture, the answer beside it."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import secrets
 import shutil
 import tempfile
-from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -20,23 +21,18 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from piga.data import copy_example
+from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
+from piga.describe.columns import UNITS as COLUMN_UNITS
+from piga.describe.columns import WORDS
+from piga.describe.draft import Question
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
-from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
-from piga.reports.render.numbers import rounded
-from piga.text_files import files_named_in, toml_value
-from piga.workbench.common import (
-    Bench,
-    Sent,
-    bench_of,
-    posted,
-    redirect,
-    render,
-)
-from piga.workbench.folder import TRIALS, Entry, Kept, OutsideError, results_of
-from piga.workbench.jobs import FIT, Job
+from piga.reports.render.numbers import rounded, significant
+from piga.text_files import files_named_in, toml_document, toml_value
+from piga.workbench.common import FIT, Bench, Field, Job, Sent, bench_of, in_line, redirect, render, route
+from piga.workbench.folder import TRIALS, Entry, Folder, Kept, OutsideError, results_of
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
 MOST_UPLOAD = 4 << 30
@@ -45,12 +41,10 @@ _SMALL = 20_000_000
 """Size of a log [bytes] up to which a faulty run file is answered with lines that repair it. They are tried on the log."""
 _TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
-_MOST_TAGS, _MOST_ROWS = 2000, 60
-"""Records that have tags, and coefficients that the answer shows."""
 
 
 def _tags_of(bench: Bench) -> dict[str, list[str]]:
-    with contextlib.suppress(PigaError, msgspec.MsgspecError):
+    with suppress(PigaError, msgspec.MsgspecError):
         raw = bench.folder.read(bench.folder.state_room() / "tags.json", 1 << 20)
         return msgspec.json.decode(raw, type=dict[str, list[str]])
     return {}
@@ -85,7 +79,7 @@ def _home(request: Request) -> Response:
     """The first screen, or the newest record."""
     entries = left(bench_of(request))["entries"]
     if not entries:
-        return render(request, "first.html.jinja")
+        return render(request, "first", "From a log to a calibration in three steps")
     first = next((entry for entry in entries if entry.state != "log"), entries[0])
     return redirect(f"/record/{quote(first.name)}")
 
@@ -95,7 +89,7 @@ def _try_shipped(request: Request) -> Response:
     with tempfile.TemporaryDirectory(dir=folder.state_room("parts")) as part:
         run = copy_example(Path(part))
         for path in (run.with_suffix(".csv"), run):
-            with contextlib.suppress(FileExistsError):
+            with suppress(FileExistsError):
                 put_in_place(path, folder.path(path.name), replace=False)
     return redirect(f"/record/{run.name}")
 
@@ -123,8 +117,7 @@ def _tag(request: Request, sent: Sent) -> Response:
     bench.folder.path(name)
     words = [word[:30] for word in sent.get("tags", "").replace(",", " ").split()[:8]]
     with bench.history.lock:
-        tags = _tags_of(bench) | {name: words}
-        raw = msgspec.json.encode(dict(list(tags.items())[-_MOST_TAGS:]))
+        raw = msgspec.json.encode(_tags_of(bench) | {name: words})
         write_whole(bench.folder.state_room() / "tags.json", lambda part: part.write_bytes(raw))
     return redirect(f"/record/{quote(name)}")
 
@@ -135,25 +128,167 @@ def _back(request: Request, otherwise: str) -> Response:
     return redirect(path if path.startswith("/record/") else otherwise)
 
 
+_MENUS = {
+    "rad/s/g": ("rad/s/g", "deg/s/g", "rev/s/g", "deg/h/g"),
+    "Hz": ("Hz", "kHz"),
+    "deg": ("deg", "rad"),
+    "m": ("m", "km", "cm", "mm"),
+    "1": (),
+}
+"""Units of the menu of a question, by the unit of its example."""
+_ROLES = [
+    (f"{kind} {axis}".strip(), f"{words} {axis.upper()}0" if axis else words)
+    for kind, words in WORDS.items()
+    for axis in ("xyz" if kind in ("force", "base-rate") else ("",))
+]
+"""Choices of a column's menu: a value as ``piga init --column`` takes it, and its words."""
+
+
+@dataclass
+class Sheet:
+    """The page of a log: its description with corrected columns, the draft of its run file, and the questions."""
+
+    described: LogDescription
+    draft: RunFileDraft
+    fields: list[Field]
+    message: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """True if the run file can be written."""
+        return not self.draft.open and not self.message and not any(field.refusal for field in self.fields)
+
+
+def _role(column: ColumnGuess) -> str:
+    return column.kind if column.axis is None else f"{column.kind} {'xyz'[column.axis]}"
+
+
+def _told(columns: tuple[ColumnGuess, ...], sent: Sent) -> dict[str, str]:
+    """What was corrected at the columns, by name."""
+    told = {}
+    for index, column in enumerate(columns):
+        role, unit = sent.get(f"role:{index}", _role(column)), sent.get(f"unit:{index}", column.unit)
+        if (role, unit) != (_role(column), column.unit):
+            fits = unit in COLUMN_UNITS.get(role.partition(" ")[0], ())
+            told[column.name] = f"{role} [{unit}]" if fits else role
+    return told
+
+
+def sheet(folder: Folder, name: str, sent: Sent) -> Sheet:
+    """Describe a log, as ``piga init`` does, with the corrections and answers of a form."""
+    log = folder.file(name)
+    described, fields, message = describe_log(log), dict[str, Field](), ""
+    draft = draft_run_file(described)
+    try:
+        told = _told(described.columns, sent)
+        described = describe_log(log, told) if told else described
+    except PigaError as error:
+        message = str(error).removeprefix("--column ")
+    try:
+        draft = _answered(described, _taken(folder, sent.get("take", "")), sent, fields)
+        read_run_file(log.with_suffix(".toml"), draft.completed().text().encode())
+    except PigaError as error:
+        message = message or str(error)
+    return Sheet(described, draft, list(fields.values()), message)
+
+
+def _answered(
+    described: LogDescription, settings: dict[str, Any], sent: Sent, fields: dict[str, Field]
+) -> RunFileDraft:
+    """The draft with the answers of a form. ``fields`` takes the questions; an answer may lead to another one."""
+    while True:
+        draft = draft_run_file(described, settings)
+        asked = [one for one in (*draft.open, *draft.optional) if _is_field(one) and one.key not in fields]
+        if not asked:
+            return draft
+        for question in asked:
+            key, like = question.key, question.example.partition(" ")[2] or "1"
+            units = _MENUS.get(like, (like,))
+            field = Field(key, question.words, question.example, like=like, units=units).with_sent(sent)
+            try:
+                if field.typed and not field.refusal:
+                    value = _value(question, field.value)
+                    draft_run_file(described, settings | {key: value})
+                    settings[key] = value
+            except PigaError as error:
+                field = replace(field, refusal=in_line(error))
+            fields[key] = field
+
+
+def _is_field(question: Question) -> bool:
+    """False if a question is answered at the columns."""
+    return not question.example.startswith("{")
+
+
+def _value(question: Question, text: str) -> Any:
+    """A value as the run file has it: a whole number for counts, else text."""
+    if not question.example.isdigit():
+        return text
+    if not text.isdigit():
+        raise ArgumentError(f"{text!r} is not a whole number", remedy=f"e.g. {question.example}")
+    return int(text)
+
+
+def _taken(folder: Folder, name: str) -> dict[str, Any]:
+    """Instrument, stand and uncertainties of another run file, as settings."""
+    document = toml_document(folder.toml(name)) if name else {}
+    parts = ((table, document.get(table)) for table in ("instrument", "stand", "uncertainty"))
+    tables = ((table, part) for table, part in parts if isinstance(part, dict))
+    return {f"{table}.{key}": value for table, part in tables for key, value in part.items()}
+
+
+def _preview(described: LogDescription) -> list[tuple[str, ...]]:
+    """The first six values of each column, as they were read."""
+    cells = {name: [significant(float(one), 7) for one in some[:6]] for name, some in described.numbers.items()}
+    cells |= described.layout.sample if described.layout else {}
+    return list(zip_longest(*(cells.get(one.name, [])[:6] for one in described.columns), fillvalue=""))
+
+
+def _show_log(request: Request, sent: Sent) -> Response:
+    """The page with the corrections and answers; or, if nothing is open, the run file is written."""
+    bench, name = bench_of(request), request.path_params["name"]
+    log = bench.folder.file(name)
+    made, fault = None, ""
+    try:
+        made = sheet(bench.folder, name, sent)
+        if sent.get("do") == "write" and made.complete:
+            target = bench.folder.free(log.parent, log.name.partition(".")[0] or "run", ".toml")
+            try_run_file(made.draft, target)
+            bench.history.write(bench.folder.name(target), "", made.draft.text(), f"describe {log.name}")
+            return redirect(f"/record/{quote(bench.folder.name(target))}")
+    except PigaError as error:
+        fault = str(error)
+    code = 422 if fault or sent.get("do") == "write" else 200
+    values = left(bench, name) | {"sheet": made, "message": fault or (made.message if made else "")}
+    if made is not None:
+        values |= {
+            "roles": _ROLES, "role": _role, "column_units": COLUMN_UNITS, "took": sent.get("take", ""),
+            "rows": _preview(made.described),
+            "others": [entry.name for entry in bench.folder.entries() if entry.state == "ready"],
+            "open_columns": [one for one in made.draft.open if not _is_field(one)],
+            "notes": [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],
+        }  # fmt: skip
+    return render(request, "log", name, code, **values)
+
+
 def _show(request: Request) -> Response:
     """The page of a record: its picture, and the answer for the ticked terms."""
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
     if entry.state == "log":
         return redirect(f"/log/{quote(name)}")
-    values: dict[str, Any] = {"entry": entry, "query": request.url.query, "message": entry.message, "seen": ""}
     outline, job = (None, None) if entry.state == "faulty" else _reading(bench, name)
-    values |= {"outline": outline, "job": job, "right": {}, "repairs": []}
-    with contextlib.suppress(PigaError):
-        values["seen"] = bench.history.seen(bench.folder.text(name))
+    message, seen = entry.message, ""
+    with suppress(PigaError):
+        seen = bench.history.seen(bench.folder.text(name))
     if job is not None and job.state in ("failed", "stopped"):
-        values["message"] = job.text("err").removeprefix("piga: ") or "The reading was stopped."
-    if values["message"]:
-        values["repairs"] = _repairs(bench, entry)
-    if outline is not None:
-        values["drawn"] = msgspec.json.encode(outline).decode()
-        values["right"] = _answer(bench, name, request.query_params.getlist("term"))
-    return render(request, "record.html.jinja", **left(bench, name), **values)
+        message = job.text("err").removeprefix("piga: ") or "The reading was stopped."
+    return render(
+        request, "record", name, **left(bench, name), entry=entry, query=request.url.query, message=message, seen=seen,
+        outline=outline, job=job, repairs=_repairs(bench, entry) if message else [],
+        drawn=msgspec.json.encode(outline).decode(),
+        right=_answer(bench, name, request.query_params.getlist("term")) if outline else {},
+    )  # fmt: skip
 
 
 def _cache_of(bench: Bench, name: str) -> Path:
@@ -180,7 +315,7 @@ def _repairs(bench: Bench, entry: Entry) -> list[Any]:
     """Lines that repair a run file; each was tried on the log."""
     from piga.describe.run_file import suggestions
 
-    with contextlib.suppress(PigaError, OSError):
+    with suppress(PigaError, OSError):
         return suggestions(bench.folder.toml(entry.name)) if entry.size <= _SMALL else []
     return []
 
@@ -269,44 +404,39 @@ def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
     shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {
-        "answer": None,
-        "fit": None,
-        "former": None,
-        "message": "",
-        "terms": shown,
-        "always": always,
-    }
-    values |= {"chosen": terms, "usual": set(terms) == set(usual)}
+        "terms": shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual),
+        "answer": None, "former": None, "fit": None, "message": "",
+    }  # fmt: skip
     try:
         check_terms(terms, output=run_file.unit)
-        asked = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
-        key = hashlib.sha256(asked.encode()).hexdigest()[:16]
-        fit = bench.jobs.latest(name, f"{TRIALS}{key}")
-        state = "" if fit is None else fit.state
-        answer = _trial(bench, key) if state in ("", "done") else None
-        if answer is None and fit is None:
-            command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
-            fit = bench.jobs.start(command, FIT, name, f"{TRIALS}{key}")
     except PigaError as error:
         return values | {"message": str(error)}
-    last = bench.answers.get(name, [])
-    former = next((kept for one in last if one != key and (kept := _trial(bench, one))), None)
-    if answer is None:
-        message = (fit.text("err") or "The fit was stopped.") if fit and state not in ("", "running") else ""
-        return values | {"fit": fit, "former": former, "message": message}
-    bench.answers[name] = [key, *(one for one in last if one != key)][:2]
-    return values | {"answer": answer, "key": key, "rows": _rows(answer, former)}
+    asked = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
+    key = hashlib.sha256(asked.encode()).hexdigest()[:16]
+    fit = bench.jobs.latest(name, f"{TRIALS}{key}")
+    state = "" if fit is None else fit.state
+    answer = _trial(bench, key) if state in ("", "done") else None
+    last = [one for one in bench.answers.get(name, []) if one != key]
+    former = next((kept for one in last if (kept := _trial(bench, one))), None)
+    if answer is not None:
+        bench.answers[name] = [key, *last][:2]
+        return values | {"answer": answer, "former": former, "key": key, "rows": _rows(answer, former)}
+    if fit is None:
+        command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
+        fit = bench.jobs.start(command, FIT, name, f"{TRIALS}{key}")
+    message = (fit.text("err") or "The fit was stopped.") if state not in ("", "running") else ""
+    return values | {"fit": fit, "former": former, "message": message}
 
 
 def _rows(answer: Kept, former: Kept | None) -> list[dict[str, Any]]:
     """The coefficients in the units of every page, with those of the former answer."""
-    before: Mapping[str, Coefficient] = former.calibration if former else {}
     rows = []
-    for one in answer.calibration.coefficients[:_MOST_ROWS]:
+    for one in answer.calibration.coefficients:
         factor, unit = shown_unit(one.name, one.unit)
-        value, u, was = factor * one.value, factor * one.std, factor * before.get(one.key, one).value
-        ghost = "" if was == value else rounded(was, u).value
-        rows.append({"key": one.key, "value": value, "u": u, "unit": unit, "was": ghost})
+        value, u = factor * one.value, factor * one.std
+        before = former.calibration[one.key] if former and one.key in former.calibration else one
+        was = "" if before.value == one.value else rounded(factor * before.value, u).value
+        rows.append({"key": one.key, "value": value, "u": u, "unit": unit, "was": was})
     return rows
 
 
@@ -324,14 +454,12 @@ def _keep(request: Request, sent: Sent) -> Response:
     if verdict.grade == "do not use":
         raise CalibrationError(f"this result cannot be kept: {verdict.reason}", remedy="settle this first")
     with bench.history.lock:
-        entry = bench.folder.entry(name)
-        if not (
-            entry.kept and entry.kept[0].calibration == answer.calibration
-        ):  # else the button was pressed twice
+        kept = bench.folder.entry(name).kept
+        if not (kept and kept[0].calibration == answer.calibration):  # else the button was pressed twice
             target = bench.folder.path(bench.folder.name(results_of(bench.folder.toml(name))))
             former = None
             if target.exists():
-                number = 1 + max((-one.version for one in entry.kept), default=0)
+                number = 1 + max((-one.version for one in kept), default=0)
                 older = target.with_name(f"{target.name}-v{number}")
                 former = target.rename(bench.folder.path(bench.folder.name(older)))
             part = bench.folder.state_room("parts") / key
@@ -354,7 +482,7 @@ def _show_kept(request: Request) -> Response:
     kept, values = kept_of(bench, name), left(bench, kept_name=name)
     entry = next((one for one in values["entries"] if kept in one.kept), None)
     names = [path.name for path in bench.folder.files() if bench.folder.name(path.parent) == name]
-    return render(request, "kept.html.jinja", **values, one=kept, entry=entry, files=names)
+    return render(request, "kept", f"Kept: {kept.name}", **values, one=kept, entry=entry, files=names)
 
 
 def _discard(request: Request) -> Response:
@@ -388,19 +516,20 @@ def _compare(request: Request) -> Response:
             (first, u), (second, v) = cells[0], cells[1]
             row |= {"difference": second - first, "u": float(np.hypot(u, v))}
         table.append(row)
-    return render(request, "compare.html.jinja", **left(bench), pair=pair, table=table)
+    return render(request, "compare", "Two results side by side", **left(bench), pair=pair, table=table)
 
 
 ROUTES = [
     Route("/", _home),
     Route("/try", _try_shipped, methods=["POST"]),
     Route("/upload", _take, methods=["POST"]),
-    Route("/tag", posted(_tag), methods=["POST"]),
+    route("/tag", _tag, "POST"),
     Route("/undo", _undo, methods=["POST"]),
+    route("/log/{name:path}", _show_log),
     Route("/record/{name:path}", _show, methods=["GET"]),
-    Route("/record/{name:path}", posted(_change), methods=["POST"]),
+    route("/record/{name:path}", _change, "POST"),
     Route("/signal-data/{name:path}", _data),
-    Route("/keep/{name:path}", posted(_keep), methods=["POST"]),
+    route("/keep/{name:path}", _keep, "POST"),
     Route("/compare", _compare),
     Route("/kept/{name:path}/discard", _discard, methods=["POST"]),
     Route("/kept/{name:path}", _show_kept),

@@ -108,9 +108,24 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
     folder:
         New folder, ``RECORD-KEY``. It appears when it is complete; others of the same record are removed.
     """
+    breaks = np.flatnonzero(run.begins[1:]) + 1
+    longest = np.argsort(np.abs(run.t[breaks] - run.t[breaks - 1]))[-_MOST_STRETCHES:]
+    breaks = np.sort(breaks[longest])
+    edges = [0, *breaks.tolist(), run.size]
+    blocks = np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
+    t, signals = _time(run), _signals(run, run_file)
+    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals))
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
-        outline = _write_all(run, run_file, part)
+        shape = (len(signals), run.size)
+        columns = np.lib.format.open_memmap(part / "columns.npy", mode="w+", dtype=np.float64, shape=shape)
+        for column, (_, values) in zip(columns, signals, strict=True):
+            column[:] = _difference(run, t) if values is None else values
+        extremes = _extremes(columns, columns, blocks)
+        arrays = {"t": t, "breaks": breaks, "blocks": blocks, "row": run.row, "extremes": extremes}
+        for name, array in arrays.items():
+            np.save(part / f"{name}.npy", array)
+        (part / "outline.json").write_bytes(msgspec.json.encode(outline))
         for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
             shutil.rmtree(place, ignore_errors=True)
         part.rename(folder)
@@ -119,43 +134,22 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
     return outline
 
 
-def _write_all(run: Run, run_file: RunFile, folder: Path) -> Outline:
-    breaks = np.flatnonzero(run.begins[1:]) + 1
-    longest = np.argsort(np.abs(run.t[breaks] - run.t[breaks - 1]))[-_MOST_STRETCHES:]
-    breaks = np.sort(breaks[longest])
-    edges = [0, *breaks.tolist(), run.size]
-    blocks = np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
-    t = _write_time(run, folder / "t.npy")
-    temperature = run_file.data.temperature
-    signals = _signals(run, "K" if temperature is None else temperature.unit)
-    shape = (len(signals), run.size)
-    columns = np.lib.format.open_memmap(folder / "columns.npy", mode="w+", dtype=np.float64, shape=shape)
-    for column, (_, values) in zip(columns, signals, strict=True):
-        column[:] = _difference(run, t) if values is None else values
-    extremes = _extremes(columns, columns, blocks)
-    for name, array in (("breaks", breaks), ("blocks", blocks), ("row", run.row), ("extremes", extremes)):
-        np.save(folder / f"{name}.npy", array)
-    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals))
-    (folder / "outline.json").write_bytes(msgspec.json.encode(outline))
-    return outline
-
-
 def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
     """Least and largest value of the columns from each start to the next."""
     return np.stack((np.fmin.reduceat(least, starts, axis=1), np.fmax.reduceat(largest, starts, axis=1)))
 
 
-def _write_time(run: Run, path: Path) -> Array:
-    """Write the time axis of the page: seconds since the first sample.
+def _time(run: Run) -> Array:
+    """Time since the first sample (n,) [s].
 
     Where the time of a record goes back (at the begin of a segment with a clock of its own), the segment is shown
     after the one before.
     """
-    t = np.lib.format.open_memmap(path, mode="w+", dtype=np.float64, shape=(run.size,))
-    cuts = 1 + np.flatnonzero(run.t[1:] < run.t[:-1])
-    shifts = np.cumsum([-run.t[0], *(run.t[cuts - 1] + run.median_step - run.t[cuts])])
-    for first, last, shift in zip([0, *cuts], [*cuts, run.size], shifts, strict=True):
-        np.add(run.t[first:last], shift, out=t[first:last])
+    t, back = run.t - run.t[0], 1 + np.flatnonzero(run.t[1:] < run.t[:-1])
+    if back.size:
+        jumps = np.zeros(run.size)
+        jumps[back] = run.t[back - 1] + run.median_step - run.t[back]
+        t += np.cumsum(jumps)
     return t
 
 
@@ -167,17 +161,18 @@ def _difference(run: Run, t: Array) -> Array:
     return total - total[begin]
 
 
-def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
+def _signals(run: Run, run_file: RunFile) -> list[tuple[Signal, Any]]:
     """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
     degree, is_angle = 180.0 / np.pi, run.kind == "angle"
-    output = Signal("output", "output rate", "deg/s", degree, 0)
-    difference = Signal("difference", f"{run.quantity} minus K ∫aₓdt", "deg", degree, 1)
+    name, unit, factor = "output rate", "deg/s", degree
     if run.direct:
-        output = Signal("output", "output", run.output_unit, 1.0, 0)
-        difference = msgspec.structs.replace(difference, unit="count", factor=1.0)
+        name, unit, factor = "output", run.output_unit, 1.0
     elif is_angle:
-        output = Signal("output", "output angle", "rev", 0.5 / np.pi, 0)
-    signals: list[tuple[Signal, Any]] = [(output, run.output), *([(difference, None)] if is_angle else [])]
+        name, unit, factor = "output angle", "rev", 0.5 / np.pi
+    signals: list[tuple[Signal, Any]] = [(Signal("output", name, unit, factor, 0), run.output)]
+    if is_angle:
+        words, scale = f"{run.quantity} minus K ∫aₓdt", ("count", 1.0) if run.direct else ("deg", degree)
+        signals.append((Signal("difference", words, *scale, 1), None))
     vectors = [("f", "a_", "g", 1.0 / G0, 2, run.f)]
     if run.base_rate is not None:
         vectors.append(("rate", "Ω_", "deg/s", degree, 3, run.base_rate))
@@ -185,9 +180,12 @@ def _signals(run: Run, temperature_unit: str) -> list[tuple[Signal, Any]]:
         for index, axis in enumerate("XYZ"):
             signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, figure), values[:, index]))
     if run.temperature is not None:
-        unit, factor = temperature_unit.replace("deg", "°"), 1.0 / parse_unit(temperature_unit).factor
-        offset = -offset_to_si(temperature_unit) * factor
-        signals.append((Signal("temperature", "temperature", unit, factor, 4, offset), run.temperature))
+        unit = run_file.data.temperature.unit if run_file.data.temperature else "K"
+        factor = 1.0 / parse_unit(unit).factor
+        shown = Signal(
+            "temperature", "temperature", unit.replace("deg", "°"), factor, 4, -offset_to_si(unit) * factor
+        )
+        signals.append((shown, run.temperature))
     return signals
 
 

@@ -13,10 +13,11 @@ from urllib.parse import quote
 import pytest
 
 from piga.errors import ArgumentError
+from piga.workbench.app import SESSION_AGE, Door, open_browser
+from piga.workbench.common import Jobs
 from piga.workbench.folder import Folder, OutsideError
-from piga.workbench.security import SESSION_AGE, Door
 from tests.workbench.conftest import Client, Server, entered, wait_until
-from tests.workbench.test_jobs import jobs_in
+from tests.workbench.test_common_jobs import jobs_in
 
 
 def test_every_change_names_its_origin(client: Client) -> None:
@@ -135,8 +136,6 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     running = entered(tmp_path)
     running.client.page("/record/run.toml")
     assert running.end()[0] == 0
-    from piga.workbench.jobs import Jobs
-
     jobs = Jobs(tmp_path)
     job = jobs.start(("calibrate", "run.toml"), "Calibrate", "run.toml")
     wait_until(lambda: job.state != "running", 120.0)
@@ -150,7 +149,7 @@ def test_values_that_no_instrument_has(client: Client) -> None:
     for typed in ("K=0+rad/s/g", "beta=100+deg", "a_x=5"):
         assert client.ask(f"/explore?{typed}")[0] == 422
     assert client.ask("/explore?a_x=1e30+g&time=1e12+s")[0] == 200
-    status, headers, _ = client.ask("/explore/page?a_x=1e30+g&time=1e12+s")
+    status, headers, _ = client.ask("/explore?report=1&a_x=1e30+g&time=1e12+s")
     assert (status, "sandbox" in headers["content-security-policy"]) == (200, True)
 
 
@@ -190,12 +189,10 @@ def test_the_address_for_the_browser_is_a_file_of_its_owner(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Arguments of a process are seen by every user of a machine."""
-    from piga.workbench.app import open_browser
-
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     door = Door(8000)
-    assert open_browser(door, tmp_path)
+    open_browser(door, tmp_path)
     assert door.token not in opened[0]
     path = tmp_path / "open.html"
     assert opened == [path.as_uri()]

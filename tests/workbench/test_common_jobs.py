@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from piga.errors import ArgumentError
-from piga.workbench.jobs import Job, Jobs
+from piga.workbench.common import Job, Jobs
 from tests.workbench.conftest import entered, shipped_record, wait_until
 
 
