@@ -1,4 +1,4 @@
-"""Small campaigns for tests: their files, the command as a child process, and processes that are killed."""
+"""Small campaigns for tests: their files, and the command as a child process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import psutil
+import msgspec
 
 if TYPE_CHECKING:
     from piga.campaign import Campaign, CampaignPlan
@@ -94,26 +94,6 @@ def call(*arguments: object, **variables: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
-def children(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """Processes below a process; an empty list if it is gone."""
-    try:
-        return psutil.Process(process.pid).children(recursive=True)
-    except psutil.NoSuchProcess:
-        return []
-
-
-def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    """Workers of the local cluster (not the process that keeps track of resources)."""
-    result = []
-    for child in children(process):
-        try:
-            if "spawn_main" in " ".join(child.cmdline()):
-                result.append(child)
-        except psutil.Error:
-            continue
-    return result
-
-
 def computed(path: Path, out: Path, shards: Iterable[int] | None = None) -> Campaign:
     """A campaign, all of it or some shards, computed in this process."""
     from piga.campaign import plan_campaign
@@ -127,7 +107,7 @@ def computed(path: Path, out: Path, shards: Iterable[int] | None = None) -> Camp
 
 def collected(folder: Path) -> dict[str, bytes]:
     """The files that ``collect`` writes, computed in this process."""
-    from piga.campaign import collect, document, open_campaign
+    from piga.campaign import collect, open_campaign
     from piga.campaign.collect import write_table
     from piga.campaign.page import campaign_page
     from piga.reports.render.page import page_html, page_text
@@ -136,7 +116,7 @@ def collected(folder: Path) -> dict[str, bytes]:
     table = folder / "table.csv"
     write_table(result, table)
     return {
-        "json": json.dumps(document(result), sort_keys=True).encode(),
+        "json": json.dumps(msgspec.to_builtins(result), sort_keys=True).encode(),
         "csv": table.read_bytes(),
         "page": page_html(campaign_page(result)).encode(),
         "text": page_text(campaign_page(result)).encode(),

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from piga.campaign import collect, document, open_campaign, plan_campaign
+from piga.campaign import collect, open_campaign, plan_campaign
 from piga.campaign.collect import CampaignCoefficient, _misses
 from piga.cli.main import app
 from piga.errors import PigaError
@@ -24,7 +24,7 @@ def small(tmp_path_factory):
 
 @pytest.mark.long
 def test_figures_are_those_of_the_rows(small):
-    figures = document(collect(open_campaign(small)))
+    figures = msgspec.to_builtins(collect(open_campaign(small)))
     every = rows(small)
     counts = [figures[name] for name in ("records", "computed", "failed", "complete")]
     assert counts == [17, 17, 0, True]

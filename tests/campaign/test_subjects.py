@@ -2,10 +2,11 @@
 
 import json
 
+import msgspec
 import pytest
 
 import piga
-from piga.campaign import collect, document, open_campaign, read_campaign
+from piga.campaign import collect, open_campaign, read_campaign
 from piga.campaign.subjects import compute
 from piga.cli.main import app
 from tests.campaign.small import ROOT, STAND, collected, computed, find, rows, written
@@ -89,7 +90,7 @@ name = "p"
 set = { "sensors.gimbal_noise" = "5 arcsec", "compensation.models" = ["A", "B"], "identification.duration" = "1 h" }
 """
     computed(written(tmp_path, campaign), tmp_path / "out")
-    figures = document(collect(open_campaign(tmp_path / "out")))
+    figures = msgspec.to_builtins(collect(open_campaign(tmp_path / "out")))
     assert figures["failed"] == 0, figures["failures"]
     assert [group["set"] for group in figures["groups"]] == [
         {"equatorial.drift.0": v} for v in ("0 deg/h", "0.02 deg/h")

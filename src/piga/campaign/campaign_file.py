@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from piga.errors import ArgumentError, RunFileError, UnitError
+from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.records.run_file import EstimationTable, ModelTable, Quantity, TomlTable, UncertaintyTable
 from piga.stand.scenario import Scenario, ScenarioTable, scenario_of
 from piga.text_files import convert_table, convert_toml, read_toml, toml_bytes, toml_document
@@ -172,14 +172,11 @@ class CampaignPlan:
     def scenario(self, record: RecordName) -> Scenario | PlatformScenario:
         """The scenario of a record, ready to run."""
         path, document = self.path.parent / record.group.scenario, self.document(record)
-        try:
-            if record.group.subject == "stand":
-                return _stand(path, document)
-            from piga.platform.scenario import scenario_of_document
+        if record.group.subject == "stand":
+            return _stand(path, document)
+        from piga.platform.scenario import scenario_of_document
 
-            return scenario_of_document(path, document)
-        except (ArgumentError, UnitError) as error:
-            raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
+        return scenario_of_document(path, document)
 
     def seed_of(self, record: RecordName) -> int:
         """Seed of a record, as ``piga simulate --seed`` takes it: the same on every machine, in every order."""
@@ -231,16 +228,12 @@ def _drawn(table: DrawTable, rng: np.random.Generator) -> Any:
     a, b = float(first), float(second)
     if unit != other:
         raise ValueError(f"units differ: '{unit}' and '{other}'")
+    if b < 0.0 if kind == "normal" else not a < b or (kind == "log-uniform" and a <= 0.0):
+        raise ValueError("low is not below high, low of 'log-uniform' is not positive, or std is negative")
     if kind == "normal":
-        if b < 0.0:
-            raise ValueError("std is negative")
         value = a + b * float(rng.standard_normal())
-    elif not a < b:
-        raise ValueError("low is not below high")
     elif kind == "uniform":
         value = float(rng.uniform(a, b))
-    elif a <= 0.0:
-        raise ValueError("low must be positive for 'log-uniform'")
     else:
         value = math.exp(float(rng.uniform(math.log(a), math.log(b))))
     return f"{value!r} {unit}" if unit else value
@@ -261,8 +254,8 @@ def read_campaign(path: str | Path) -> CampaignPlan:
     path = Path(path)
     texts = {"": toml_bytes(path)}
     file = read_toml(path, CampaignFile, texts[""])
-    for name in dict.fromkeys(n for n in (file.scenario, *(case.scenario for case in file.case)) if n):
-        texts[name] = toml_bytes(path.parent / name)
+    names = (file.scenario, *(case.scenario for case in file.case))
+    texts |= {name: toml_bytes(path.parent / name) for name in names if name}
     plan = plan_of(path, texts)
     _check(plan)
     return plan
@@ -295,10 +288,8 @@ def _groups(path: Path, file: CampaignFile, documents: Mapping[str, dict[str, An
         scenario = case.scenario or file.scenario
         if scenario is None:
             raise refused("there is nothing to compute", "give scenario, at the top or in each [[case]]")
-        subject, repeats = (
-            _subject(path.parent / scenario, documents[scenario]),
-            case.repeats or settings.repeats,
-        )
+        subject = _subject(path.parent / scenario, documents[scenario])
+        repeats = case.repeats or settings.repeats
         for values in itertools.product(*file.grid.values()):
             point = dict(zip(file.grid, values, strict=True))
             every = case.set | point
@@ -329,5 +320,5 @@ def _check(plan: CampaignPlan) -> None:
         done |= settings
         try:
             plan.scenario(plan.record(group.start))
-        except RunFileError as error:
+        except PigaError as error:
             raise RunFileError(f"{plan.path}: {group.label}: {error.message}", remedy=error.remedy) from None

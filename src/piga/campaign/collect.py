@@ -9,6 +9,8 @@ import csv
 import math
 import shlex
 from collections import Counter
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,11 +72,6 @@ class CampaignCoefficient(msgspec.Struct, frozen=True):
         p = PROBABILITY
         return (self.coverage - p) / math.sqrt(p * (1.0 - p) / self.tests)
 
-    @property
-    def bias_off(self) -> float:
-        """Mean error over its standard error; 0 if it is not known."""
-        return self.bias / self.bias_std_error if self.bias is not None and self.bias_std_error else 0.0
-
 
 class Miss(msgspec.Struct, frozen=True):
     """A quantity away from its target: ``what`` is 'coverage' (target 0.95) or 'bias' (target 0, here over the spread)."""
@@ -85,11 +82,6 @@ class Miss(msgspec.Struct, frozen=True):
     value: float
     std_error: float
     standard_errors: float
-
-    @property
-    def sure(self) -> bool:
-        """True if chance does not explain it."""
-        return abs(self.standard_errors) > SURE
 
     @property
     def label(self) -> str:
@@ -158,15 +150,6 @@ class Collected(msgspec.Struct, frozen=True):
     failures: tuple[_Failure, ...]
 
 
-COLLECTED = "piga.campaign.collected/2"
-
-
-def document(collected: Collected) -> dict[str, Any]:
-    """The JSON document of ``piga campaign collect``."""
-    entry: dict[str, Any] = msgspec.to_builtins(collected)
-    return entry
-
-
 def write_table(collected: Collected, path: Path) -> None:
     """Write one row per group and coefficient as CSV."""
     rows = [{"group": g.label} | msgspec.to_builtins(c) for g in collected.groups for c in g.coefficients]
@@ -192,7 +175,7 @@ def collect(campaign: Campaign) -> Collected:
     groups, z = _group_results(campaign, heads, rows), _numbers(rows, "z")
     failures = _failures(campaign, heads)
     return Collected(
-        schema=COLLECTED,
+        schema="piga.campaign.collected/2",
         campaign=plan.path.name,
         title=plan.file.campaign.title or plan.path.stem,
         version=manifest.software.get("piga", ""),
@@ -232,9 +215,6 @@ def _numbers(table: pa.Table, name: str) -> Array:
 
 
 def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tuple[GroupResult, ...]:
-    of_group: dict[int, list[Row]] = {}
-    for head in heads:
-        of_group.setdefault(head["group"], []).append(head)
     places: dict[tuple[int, str, str], list[int]] = {}
     for at, key in enumerate(
         zip(*(rows.column(n).to_pylist() for n in ("group", "name", "unit")), strict=True)
@@ -247,8 +227,8 @@ def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tupl
         figure = _coefficient(name, unit, {n: column[where] for n, column in numbers.items()})
         figures.setdefault(index, []).append(figure)
     results = []
-    for index, mine in sorted(of_group.items()):
-        group, count = campaign.plan.groups[index], len(mine)
+    for index, members in groupby(heads, key=itemgetter("group")):
+        group, mine = campaign.plan.groups[index], list(members)
         failed = Counter(head["error_class"] for head in mine if head["error_class"])
         seen = Counter(name for head in mine for name in head["seen"] or ())
         nees, expected = (_mean([head[n] for head in mine]) for n in ("nees", "nees_expected"))
@@ -259,11 +239,11 @@ def _group_results(campaign: Campaign, heads: list[Row], rows: pa.Table) -> tupl
                 set=group.set,
                 subject=group.subject,
                 planned=group.records,
-                records=count,
+                records=len(mine),
                 failed=dict(sorted(failed.items())),
                 nees=nees,
                 nees_expected=expected,
-                seen={name: number / count for name, number in sorted(seen.items())},
+                seen={name: number / len(mine) for name, number in sorted(seen.items())},
                 coefficients=tuple(figures.get(index, ())),
             )
         )
@@ -320,7 +300,8 @@ def _misses(groups: tuple[GroupResult, ...]) -> tuple[Miss, ...]:
     for group in groups:
         for c in group.coefficients:
             coverage = ("coverage", c.coverage or 0.0, c.coverage_std_error or 0.0, c.coverage_off)
-            bias = ("bias", c.bias_over_sigma or 0.0, 1.0 / math.sqrt(c.tests), c.bias_off)
+            errors = (c.bias or 0.0) / (c.bias_std_error or math.inf)
+            bias = ("bias", c.bias_over_sigma or 0.0, 1.0 / math.sqrt(c.tests), errors)
             misses += [Miss(group.label, c.name, *one) for one in (coverage, bias) if abs(one[-1]) > CHANCE]
     return tuple(sorted(misses, key=lambda miss: -abs(miss.standard_errors)))
 
@@ -340,14 +321,11 @@ def _worst(campaign: Campaign, rows: pa.Table, z: Array) -> list[_WorstCase]:
 
 
 def _failures(campaign: Campaign, heads: list[Row]) -> list[_Failure]:
-    of_class: dict[str, list[Row]] = {}
-    for head in heads:
-        if head["error_class"]:
-            of_class.setdefault(head["error_class"], []).append(head)
-    failures = [
-        _Failure(
-            name, len(them), them[0]["record"], them[0]["error"], _repeat_command(campaign, them[0]["record"])
-        )
-        for name, them in of_class.items()
-    ]
-    return sorted(failures, key=lambda failure: (-failure.records, failure.error_class))
+    """The classes of failures, the most frequent first."""
+    failed = [head for head in heads if head["error_class"]]
+    first = {head["error_class"]: head for head in reversed(failed)}
+    counts = sorted(
+        Counter(head["error_class"] for head in failed).items(), key=lambda pair: (-pair[1], pair[0])
+    )
+    places = [(name, count, first[name]["record"], first[name]["error"]) for name, count in counts]
+    return [_Failure(*place, _repeat_command(campaign, place[2])) for place in places]

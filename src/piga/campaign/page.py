@@ -7,22 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from piga.campaign.collect import CHANCE, SURE, CampaignCoefficient, Collected, GroupResult, Miss
+from piga.campaign.collect import CHANCE, SURE, CampaignCoefficient, Collected, GroupResult
 from piga.records.terms import shown_unit
 from piga.reports.render.figure import Figure, Plot, Role
 from piga.reports.render.numbers import pretty_unit, short, signed
-from piga.reports.render.page import (
-    ALONE,
-    Cell,
-    Content,
-    Notice,
-    Page,
-    Section,
-    Table,
-    TableOf,
-    Text,
-    Tone,
-)
+from piga.reports.render.page import ALONE, Cell, Content, Notice, Page, Section, Table, TableOf, Text, Tone
 
 _GROUPS = 60
 """Most groups whose tables are on the page; ``coefficients.csv`` has all."""
@@ -68,26 +57,22 @@ def judgement(collected: Collected) -> list[Content]:
         empty = [result.label for result in collected.groups if result.failed and not result.coefficients]
         text += f" Not one record could be computed of: {'; '.join(empty)}." if empty else ""
         blocks.append(Notice("problem" if empty else "warning", text))
-    sure = [miss for miss in collected.misses if miss.sure]
-    perhaps = [miss for miss in collected.misses if not miss.sure]
+    sure = [miss.label for miss in collected.misses if abs(miss.standard_errors) > SURE]
+    perhaps = [miss.label for miss in collected.misses if abs(miss.standard_errors) <= SURE]
     if sure:
-        blocks.append(Notice("warning", f"Off its target by more than chance explains: {_named(sure)}."))
+        blocks.append(Notice("warning", f"Off its target by more than chance explains: {'; '.join(sure)}."))
     if perhaps:
         targets = 2 * sum(c.coverage is not None for r in collected.groups for c in r.coefficients)
         blocks.append(
             Notice(
                 "warning" if len(perhaps) > 3 + targets / 10 else "good",
-                f"Off its target by more than {CHANCE:g} standard errors: {_named(perhaps)}. "
+                f"Off its target by more than {CHANCE:g} standard errors: {'; '.join(perhaps)}. "
                 f"Of {targets} targets about {max(1, round(targets / 20))} lie so far off by chance.",
             )
         )
     if not blocks:
         blocks.append(Notice("good", "All records are computed, and every quantity meets its target."))
     return blocks
-
-
-def _named(misses: list[Miss]) -> str:
-    return "; ".join(miss.label for miss in misses)
 
 
 def _tone(c: CampaignCoefficient) -> Tone:

@@ -20,7 +20,6 @@ import queue
 import re
 import signal
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -28,7 +27,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
@@ -44,7 +43,6 @@ from piga.text_files import converted, first_line
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA = "piga.campaign/2"
 MANIFEST, _PARTS, _LOCK = "manifest.json", "parts", "running.lock"
 _PART = re.compile(r"part-(\d{5,})-[0-9a-f]{32}\.parquet")
 _SHARDS = 500
@@ -54,7 +52,7 @@ _SHARDS = 500
 class Manifest(msgspec.Struct, frozen=True):
     """What ``manifest.json`` holds. ``texts`` are the campaign file (name "") and the scenario files, by name."""
 
-    schema: str
+    schema: Literal["piga.campaign/2"]
     campaign: str
     texts: dict[str, str]
     records_per_shard: Count
@@ -81,10 +79,9 @@ class Campaign:
 
     def parts(self) -> dict[int, Path]:
         """The part of each shard that is done, in the order of the shards."""
-        paths = sorted((self.folder / _PARTS).glob("part-*.parquet"))
-        named = [(match, path) for path in paths if (match := _PART.fullmatch(path.name))]
-        parts = {int(match[1]): path for match, path in reversed(named) if int(match[1]) < self.shards}
-        return dict(sorted(parts.items()))
+        paths = sorted((self.folder / _PARTS).glob("part-*.parquet"), reverse=True)
+        parts = {int(match[1]): path for path in paths if (match := _PART.fullmatch(path.name))}
+        return {shard: parts[shard] for shard in sorted(parts) if shard < self.shards}
 
     def missing(self) -> list[int]:
         """Shards without a part, in order."""
@@ -129,20 +126,16 @@ def open_campaign(folder: str | Path) -> Campaign:
     try:
         manifest = converted(msgspec.json.decode(path.read_bytes()), Manifest)
         texts = {name: text.encode() for name, text in manifest.texts.items()}
-        if manifest.schema == SCHEMA:
-            return Campaign(folder, manifest, plan_of(Path(manifest.campaign), texts))
+        return Campaign(folder, manifest, plan_of(Path(manifest.campaign), texts))
     except (FileNotFoundError, NotADirectoryError):
         raise PigaError(
             f"{folder}: holds no campaign", remedy="plan one: piga campaign plan CAMPAIGN.toml --out DIR"
         ) from None
     except (msgspec.MsgspecError, UnicodeDecodeError, KeyError) as error:
         raise PigaError(
-            f"{path}: is damaged ({error})", remedy="delete it, then plan the campaign again; its parts stay"
+            f"{path}: is damaged, or from another version of piga ({error})",
+            remedy="plan the campaign again in another folder",
         ) from None
-    raise PigaError(
-        f"{path}: schema '{manifest.schema}' is not known",
-        remedy=f"this piga reads {SCHEMA}: plan the campaign again in another folder",
-    )
 
 
 def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
@@ -159,7 +152,7 @@ def plan_campaign(path: str | Path, folder: str | Path) -> Campaign:
     if not (folder / MANIFEST).exists():
         (folder / _PARTS).mkdir(parents=True, exist_ok=True)
         size = plan.file.campaign.records_per_shard or math.ceil(plan.records / _SHARDS)
-        manifest = msgspec.json.encode(Manifest(SCHEMA, str(path), texts, size, software()))
+        manifest = msgspec.json.encode(Manifest("piga.campaign/2", str(path), texts, size, software()))
         write_whole(folder / MANIFEST, lambda part: part.write_bytes(msgspec.json.format(manifest, indent=1)))
     campaign = open_campaign(folder)
     if campaign.manifest.texts != texts:
@@ -320,11 +313,10 @@ def run_campaign(
         If another run works in the folder, a part is damaged, the cluster cannot be used, or parts cannot be written.
     """
     with _alone(campaign.folder):
-        done = campaign.parts()
+        done, missing = campaign.parts(), campaign.missing()
         for shard, path in done.items():
             read_part(campaign, shard, path)
         report = RunReport(campaign.shards, len(done))
-        missing = [shard for shard in range(campaign.shards) if shard not in done]
         if missing:
             with _client(campaign, executor, workers, progress) as client:
                 try:
@@ -396,14 +388,14 @@ def _client(
 @contextmanager
 def _without_ctrl_c() -> Iterator[None]:
     """Processes started here never see Ctrl-C: a terminal sends it to all of them, and only this one is to answer."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.getsignal(signal.SIGINT)
     try:
+        with suppress(ValueError):  # in another thread than the main one
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        with suppress(ValueError):
+            signal.signal(signal.SIGINT, before)
 
 
 def _connected(distributed: Any, address: str) -> Any:

@@ -136,8 +136,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards are missing.
     """
+    import msgspec
+
     from piga.campaign.collect import collect as collect_campaign
-    from piga.campaign.collect import document as json_document
     from piga.campaign.collect import write_table
     from piga.campaign.page import campaign_page
     from piga.campaign.shards import open_campaign
@@ -148,10 +149,9 @@ def collect(folder: Folder, as_json: JsonOption = False) -> None:
         folder / "collected", "campaign-collect", names, [folder / "manifest.json"], force=True, as_json=as_json
     ) as to:
         collected = collect_campaign(campaign)
-        document = json_document(collected)
         write_table(collected, to / names[1])
         page = campaign_page(collected)
-        to.show(document, page, page, names[0], names[2])
+        to.show(msgspec.to_builtins(collected), page, page, names[0], names[2])
     if collected.missing:
         note(f"piga: {len(collected.missing)} of {collected.shards} shards are not computed yet")
         raise SystemExit(_INCOMPLETE)
