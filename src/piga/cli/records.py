@@ -41,10 +41,10 @@ def _tell(kept: Store, as_json: bool, document: dict[str, Any], lines: Iterable[
     tell(as_json, place | document, [*lines, f"{counted(head.number, 'record')}, head {head.sha256}"])
 
 
-def _tell_written(path: Path, written: Verification, as_json: bool) -> None:
-    document = {"file": str(path), "records": written.records, "head": written.head}
+def _tell_written(written: Verification, as_json: bool) -> None:
+    document = {"file": written.name, "records": written.records, "head": written.head}
     lines = (
-        f"wrote {path}, read back and found sound",
+        f"wrote {written.name}, read back and found sound",
         f"{counted(written.records, 'record')}, head {written.head}",
     )
     tell(as_json, document, lines)
@@ -157,8 +157,8 @@ def add(
 ) -> None:
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
     from piga.ledger import prepare_run
-    from piga.ledger.store.database import is_url
     from piga.ledger.store.documents import checked_text
+    from piga.ledger.store.store import is_url
     from piga.records.run_file import read_run_file
 
     # what is wrong with the words and the store is said before the work
@@ -252,7 +252,7 @@ def verify(
 
     If something is wrong it says what, and exits with 2.
     """
-    from piga.ledger.store.database import is_url
+    from piga.ledger.store.store import is_url
     from piga.ledger.store.transfer import verify as check
     from piga.text_files import open_regular
 
@@ -297,7 +297,7 @@ def export(
 
     with opened(store) as kept, progress("exporting") as show:
         exported = export_records(kept, out, record, progress=show)
-    _tell_written(out, exported, as_json)
+    _tell_written(exported, as_json)
 
 
 @app.command("import")
@@ -368,12 +368,11 @@ def restore(
 
     The store must not exist.
     """
-    from piga.ledger.store.database import Database
     from piga.ledger.store.transfer import restore as make
 
     with progress("restoring"):
         restored = make(source, store)
-    _tell_written(Path(Database(store).name), restored, as_json)
+    _tell_written(restored, as_json)
 
 
 # -- trend ---------------------------------------------------------------------------------------------

@@ -2,10 +2,4 @@
 
 from piga.ledger.evidence import Comparison, Reproduced, compare_calibrations, prepare_run, reproduce
 
-__all__ = [
-    "Comparison",
-    "Reproduced",
-    "compare_calibrations",
-    "prepare_run",
-    "reproduce",
-]
+__all__ = ["Comparison", "Reproduced", "compare_calibrations", "prepare_run", "reproduce"]

@@ -28,24 +28,19 @@ import numpy as np
 from piga._version import __version__
 from piga.errors import CalibrationError, RunFileError, StoreError
 from piga.ledger.store import Draft, DraftFile, Record
-from piga.ledger.store.store import Store
 from piga.output import check_results
 from piga.reading.columns import stand_files
+from piga.records.calibration import document as record_file
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE, Coefficient
-from piga.records.calibration.document import (
-    MOST_BYTES,
-    calibration_from_bytes,
-    calibration_to_bytes,
-    to_document,
-)
 from piga.records.run_file import read_run_file
 from piga.results import Result
 from piga.text_files import read_whole
 from piga.units import numbers_are_si
 
 if TYPE_CHECKING:
-    from piga.ledger.store.documents import Position
+    from piga.ledger.store.documents import RecordDocument
+    from piga.ledger.store.store import Store
 
 ROUNDING = 1e-6
 """Difference allowed where the arithmetic differs, as a share of the standard uncertainty (own choice)."""
@@ -135,11 +130,11 @@ def prepare_run(
         from piga.stand import read_run
 
         calibration, software = calibrate(read_run(run)), software_identity()
-        files = [DraftFile("calibration", _RESULT, calibration_to_bytes(calibration))]
+        files = [DraftFile("calibration", _RESULT, record_file.calibration_to_bytes(calibration))]
     else:
         path, page = results / "calibration.json", results / "report.html"
-        raw = read_whole(path, MOST_BYTES, "a calibration.json", CalibrationError)
-        calibration = calibration_from_bytes(raw, path)
+        raw = read_whole(path, record_file.MOST_BYTES, "a calibration.json", CalibrationError)
+        calibration = record_file.calibration_from_bytes(raw, path)
         software = {"piga": calibration.provenance.software.removeprefix("piga ")}
         files = [DraftFile("calibration", _RESULT, raw)]
         if page.is_file():
@@ -153,11 +148,11 @@ def prepare_run(
         "phase_source": calibration.phase_source,
     }
     kept = (*input_files(run, calibration.provenance.input_sha256), *files)
-    draft = Draft(calibration.serial, operator, reason, kept, options, software, measured, supersedes)
-    return replace(draft, report=partial(_report, calibration, draft)) if report and results is None else draft
+    shown = partial(_report, calibration) if report and results is None else None
+    return Draft(calibration.serial, operator, reason, kept, options, software, measured, supersedes, shown)
 
 
-def _report(calibration: Calibration, draft: Draft, place: Position) -> DraftFile:
+def _report(calibration: Calibration, record: RecordDocument) -> DraftFile:
     """The report of a record, with its place in the chain."""
     from piga.reports.calibration.page import page as calibration_page
     from piga.reports.calibration.tables import facts_table
@@ -168,18 +163,18 @@ def _report(calibration: Calibration, draft: Draft, place: Position) -> DraftFil
         "piga records verify --head compares it with the store."
     )
     rows = [
-        ("Record", place.id),
-        ("Number in the store", str(place.number)),
-        ("Store", place.store),
-        ("Head before this record", place.after),
-        ("Operator", draft.operator),
-        ("Reason", draft.reason),
+        ("Record", record.id),
+        ("Number in the store", str(record.number)),
+        ("Store", record.store),
+        ("Head before this record", record.after),
+        ("Operator", record.operator),
+        ("Reason", record.reason),
     ]
-    rows += [("Measured", draft.measured)] if draft.measured else []
-    rows += [("Supersedes", draft.supersedes)] if draft.supersedes else []
+    rows += [("Measured", record.measured)] if record.measured else []
+    rows += [("Supersedes", record.supersedes)] if record.supersedes else []
     page = calibration_page(calibration)
     section = Section("Record", "record", (lead, facts_table(rows, code=True)))
-    footer = f"Record {place.id}, number {place.number}, after head {place.after}. {page.footer}"
+    footer = f"Record {record.id}, number {record.number}, after head {record.after}. {page.footer}"
     html = page_html(replace(page, sections=(*page.sections, section), footer=footer))
     return DraftFile("report", _PAGE, html.encode())
 
@@ -208,12 +203,9 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
     """Compare two calibrations of the same inputs."""
     former = stored.provenance.software.startswith(_OTHER_ESTIMATOR)
     before, now = stored.provenance.input_sha256, recomputed.provenance.input_sha256
-    before = {
-        name: digest for name, digest in before.items() if not name.endswith(".sha256")
-    }  # not read any more
-    now = {
-        name: digest for name, digest in now.items() if name in before
-    }  # piga 0.1 stored run and data file only
+    # .sha256 files are not read any more; piga 0.1 stored run and data file only
+    before = {name: digest for name, digest in before.items() if not name.endswith(".sha256")}
+    now = {name: digest for name, digest in now.items() if name in before}
     stored, recomputed = (
         replace(one, provenance=replace(one.provenance, input_sha256=inputs))
         for one, inputs in ((stored, before), (recomputed, now))
@@ -235,7 +227,7 @@ def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Compar
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     """The content of ``calibration.json`` without :data:`_UNCOMPARED`."""
-    document = json.loads(json.dumps(to_document(calibration)))
+    document = json.loads(json.dumps(record_file.to_document(calibration)))
     for table in (document["provenance"], document["provenance"]["options"]):
         for name in _UNCOMPARED:
             table.pop(name, None)
@@ -280,17 +272,15 @@ def difference(store: Store, first: str | int, second: str | int) -> dict[str, A
     """Compare two records: their names, the changes of the coefficients, other facts that differ, and notes.
 
     The uncertainty ``std`` of a change assumes that the two are independent; ``ratio`` is the change over it. A fact is a pair.
+    Software is compared as far as both records name it: one made from results names piga alone.
     """
     a, b = store.record(first), store.record(second)
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
     old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
     then, now = _facts_of(a), _facts_of(b)
     notes = [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only]
-    brief = [record.id for record in (a, b) if "python" not in record.document.software]
-    notes += [f"{name}: made from results: of its software only piga itself is known" for name in brief]
     names = dict.fromkeys((*then, *now))
-    if brief:
-        names = {n: None for n in names if n == "software piga" or not n.startswith("software ")}
+    names = {n: None for n in names if not n.startswith("software ") or (n in then and n in now)}
     return {
         "first": a.id,
         "second": b.id,

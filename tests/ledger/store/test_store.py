@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.errors import PigaError, StoreError
-from piga.ledger.store import Draft, DraftFile, database, open_store
+from piga.ledger.store import Draft, DraftFile, open_store
 from piga.ledger.store import store as store_module
 from piga.ledger.store.documents import PART, encode, safe_name, sha256
 from piga.ledger.store.transfer import export_records, import_records, restore, verify
@@ -142,8 +142,8 @@ def test_read_only_store_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """SQLite opens a file that may not be written to in this mode by itself."""
     path = tmp_path / "a.sqlite"
     filled(path, 1).close()
-    connect = database._connect
-    monkeypatch.setattr(database, "_connect", lambda uri: connect(uri.replace("mode=rw", "mode=ro")))
+    connect = store_module._connect
+    monkeypatch.setattr(store_module, "_connect", lambda uri: connect(uri.replace("mode=rw", "mode=ro")))
     with open_store(path) as store:
         assert store.head().number == 1
         with pytest.raises(StoreError, match="cannot be written to"):
@@ -152,7 +152,7 @@ def test_read_only_store_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_disk_full_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """SQLite's own page limit stands for a full disk: at every size the store stays whole."""
-    path, connect = tmp_path / "a.sqlite", database._connect
+    path, connect = tmp_path / "a.sqlite", store_module._connect
     with filled(path, 1) as store:
         pages = path.stat().st_size // 4096
         for extra in (0, 1, 3, 10, 10_000):
@@ -162,7 +162,7 @@ def test_disk_full_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 connection.execute(f"PRAGMA max_page_count={most}")
                 return connection
 
-            monkeypatch.setattr(database, "_connect", limited)
+            monkeypatch.setattr(store_module, "_connect", limited)
             if extra == 10_000:
                 add(store, "big", size=200_000)
                 continue
@@ -222,7 +222,7 @@ def test_restore_gives_the_same_head(tmp_path: Path) -> None:
         restore(tmp_path / "all.zip", tmp_path / "a.sqlite")
     with pytest.raises(StoreError, match="the export lacks record"):
         restore(tmp_path / "part.zip", tmp_path / "new.sqlite")
-    with pytest.raises(StoreError, match=r"is a store itself(?s:.*)copy the file"):
+    with pytest.raises(StoreError, match=r"not a zip file(?s:.*)if it is a store itself"):
         restore(target, tmp_path / "new.sqlite")
     assert not (tmp_path / "new.sqlite").exists()
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]

@@ -44,7 +44,6 @@ def safe_name(name: str) -> PurePosixPath:
     return PurePosixPath(name)
 
 
-IDENTITY, RECORD, LINK = "piga.store/1", "piga.record/1", "piga.link/1"
 _MAX_TEXT = 2000
 """Most characters of operator and reason."""
 _MAX_FILES = 1000
@@ -53,7 +52,8 @@ PART = 1 << 20
 """Bytes of a file in one row."""
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 _ID = re.compile(rf"[{_ALPHABET}]{{5}}-[{_ALPHABET}]{{5}}")
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+DIGEST = re.compile(r"[0-9a-f]{64}")
+"""A SHA-256 as text."""
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -119,6 +119,12 @@ class Link(msgspec.Struct, frozen=True):
     taken_over: TakenOver | None = None
 
 
+SCHEMAS: dict[type[msgspec.Struct], str] = {
+    Identity: "piga.store/1", RecordDocument: "piga.record/1", Link: "piga.link/1",
+}  # fmt: skip
+"""Schema of each kind of document."""
+
+
 def sha256(data: bytes) -> str:
     """SHA-256 in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
@@ -133,16 +139,6 @@ def digest_of(parts: Iterable[bytes]) -> tuple[str, int]:
     return digest.hexdigest(), size
 
 
-def _parts_of(path: Path) -> Iterator[bytes]:
-    """The bytes of a file, in parts."""
-    try:
-        with open_regular(path, error=StoreError) as stream:
-            while part := stream.read(PART):
-                yield part
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})", remedy="check the file") from None
-
-
 def encode(document: msgspec.Struct) -> bytes:
     """The document as JSON: keys sorted, no spaces, UTF-8."""
     plain = msgspec.to_builtins(document)
@@ -151,32 +147,21 @@ def encode(document: msgspec.Struct) -> bytes:
     ).encode()
 
 
-def decode(raw: bytes, kind: type[T], schema: str, what: str, *, strict: bool = False) -> T:
-    """Read a document of a known schema. ``strict`` also refuses duplicate keys, as for all JSON from outside."""
+def decode(raw: bytes, kind: type[T], what: str, *, strict: bool = False) -> T:
+    """Read a document of a kind. ``strict`` also refuses duplicate keys, as for all JSON from outside."""
     try:
         document = json_object(raw) if strict else msgspec.json.decode(raw, type=dict[str, Any])
         written = document.get("schema")
-        if written != schema:
+        if written != SCHEMAS[kind]:
             raise StoreError(
-                f"{what}: schema '{written}', '{schema}' is needed",
+                f"{what}: schema '{written}', '{SCHEMAS[kind]}' is needed",
                 remedy="a newer schema needs a newer piga; anything else is damage: run piga records verify",
             )
         return converted(document, kind)
-    except (
-        msgspec.DecodeError,
-        msgspec.ValidationError,
-        JsonError,
-        UnicodeDecodeError,
-        RecursionError,
-    ) as error:
+    except (msgspec.MsgspecError, JsonError, UnicodeDecodeError, RecursionError) as error:
         raise StoreError(
             f"{what}: is damaged ({error})", remedy="run piga records verify; restore a backup"
         ) from None
-
-
-def new_identity() -> bytes:
-    """Identity of a new store."""
-    return encode(Identity(IDENTITY, secrets.token_hex(16), now()))
 
 
 def new_id() -> str:
@@ -188,11 +173,6 @@ def new_id() -> str:
 def is_id(text: str) -> bool:
     """True if the text has the form of a record's name."""
     return _ID.fullmatch(text) is not None
-
-
-def is_digest(text: str) -> bool:
-    """True for 64 hexadecimal digits."""
-    return _DIGEST.fullmatch(text) is not None
 
 
 def now() -> str:
@@ -273,16 +253,6 @@ class Head:
 
 
 @dataclass(frozen=True)
-class Position:
-    """The place of a new record: its name, number, store, and the head before it."""
-
-    id: str
-    number: int
-    store: str
-    after: str
-
-
-@dataclass(frozen=True)
 class DraftFile:
     """A file to store: its role (run, data, calibration, report, ...), its name, and its bytes or their place.
 
@@ -297,15 +267,21 @@ class DraftFile:
     def parts(self) -> Iterator[bytes]:
         """The bytes of the file, in parts."""
         if isinstance(self.source, bytes):
-            return (self.source[at : at + PART] for at in range(0, len(self.source), PART))
-        return _parts_of(self.source)
+            yield from (self.source[at : at + PART] for at in range(0, len(self.source), PART))
+            return
+        try:
+            with open_regular(self.source, error=StoreError) as stream:
+                while part := stream.read(PART):
+                    yield part
+        except OSError as error:
+            raise StoreError(f"{self.source}: cannot be read ({error.strerror})", remedy="check it") from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Draft(Result):
     """A record before it is written: :meth:`Store.append` writes it.
 
-    ``measured`` is the time of the test, in ISO form. ``report`` makes a file for the place of the record.
+    ``measured`` is the time of the test, in ISO form. ``report`` makes a last file that shows the record.
     """
 
     serial: str
@@ -316,7 +292,7 @@ class Draft(Result):
     software: dict[str, str] = field(default_factory=dict)
     measured: str | None = None
     supersedes: str | None = None
-    report: Callable[[Position], DraftFile] | None = None
+    report: Callable[[RecordDocument], DraftFile] | None = None
 
 
 @dataclass(frozen=True)

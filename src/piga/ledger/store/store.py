@@ -1,26 +1,39 @@
-"""The store. Records are appended, listed and read. Nothing is ever changed or deleted."""
+"""The store: its tables in a SQLite file or in PostgreSQL, and what is appended and read. Nothing is changed or deleted.
+
+SQLite: one file, rollback journal, ``synchronous=EXTRA`` (FULL, and the directory too). ``BEGIN IMMEDIATE`` lets one
+writer work at a time. PostgreSQL: an advisory lock lets one writer work at a time; readers see one snapshot.
+Each file is stored once, under its SHA-256, in parts of a megabyte.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import secrets
+import sqlite3
 import warnings
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError
-from piga.ledger.store.database import ENTRY, Database, Rows, entry_of, is_url
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy import BigInteger, CheckConstraint, Column, ForeignKey, Integer, LargeBinary, Table, Text, exc
+from sqlalchemy.pool import NullPool
+
+from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError, needed
 from piga.ledger.store.documents import (
-    IDENTITY,
-    LINK,
-    RECORD,
+    PART,
+    SCHEMAS,
     Draft,
+    DraftFile,
     Entry,
     Head,
     Identity,
     Link,
-    Position,
     Record,
     RecordDocument,
     StoredFile,
@@ -40,28 +53,292 @@ from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import MOST_BYTES, calibration_from_bytes
 from piga.text_files import open_regular
 
-if TYPE_CHECKING:
-    import sqlalchemy as sa
+metadata = sa.MetaData()
+
+STORE = Table("piga_store", metadata, Column("document", LargeBinary, primary_key=True))
+"""Table with one row: the identity."""
+
+ENTRY = Table(
+    "piga_entry",
+    metadata,
+    Column("number", Integer, CheckConstraint("number > 0"), primary_key=True, autoincrement=False),
+    Column("head", Text, nullable=False, unique=True),
+    Column("id", Text, nullable=False, unique=True),
+    Column("serial", Text, nullable=False, index=True),
+    Column("link", LargeBinary, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+)
+"""The chain: link and record document. Head, id and serial are copied from them for look-ups."""
+
+BLOB = Table(
+    "piga_blob",
+    metadata,
+    Column("sha256", Text, primary_key=True),
+    Column("size", BigInteger, CheckConstraint("size >= 0"), nullable=False),
+)
+"""Files, named by their SHA-256."""
+
+CHUNK = Table(
+    "piga_chunk",
+    metadata,
+    Column("sha256", Text, ForeignKey("piga_blob.sha256"), primary_key=True),
+    Column("part", Integer, primary_key=True),
+    Column("codec", Text, nullable=False),
+    Column("digest", Text, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+)
+"""Parts of files in order: ``plain`` or ``zlib``, with the SHA-256 of the stored bytes."""
+
+HEAD = Table(
+    "piga_head",
+    metadata,
+    Column("one", Integer, CheckConstraint("one = 1"), primary_key=True, autoincrement=False),
+    Column("number", Integer, nullable=False),
+    Column("head", Text, nullable=False),
+)
+"""Table with one row: number and head of the last entry. It shows whether the chain was cut short."""
+
+VERSION = Table("piga_schema_version", metadata, Column("version_num", Text, primary_key=True))
+"""Table with one row: the version of the tables."""
+
+COMPRESS_ABOVE = 1 << 16
+"""Files larger than this are stored compressed [bytes]."""
+
+APPLICATION_ID = 0x70696761
+"""The letters ``piga`` in the header of the SQLite file."""
+SCHEMA = 1
+"""Version of the tables that this piga reads and writes."""
+_BUSY = 60.0
+"""Longest time that a writer waits for another writer [s]."""
+_ADVISORY_LOCK = 0x7069676172656300
+_DAMAGED = "run piga records verify, then restore a backup"
+_NO_SPACE = "no space is left", "free some space"
+_WORDS = {
+    "disk is full": _NO_SPACE,
+    "no space left": _NO_SPACE,
+    "readonly": ("it cannot be written to", "check the rights of the file and its folder"),
+    "unable to open": ("it cannot be opened", "check its folder, and the rights of both"),
+    "locked": ("another program holds it", "try again when that has ended"),
+    "malformed": ("the file is damaged", _DAMAGED),
+    "decode": ("the file is damaged", _DAMAGED),
+    "not a database": ("is not a store of records, or is damaged", "check --store, or restore a backup"),
+}
+"""What a message of a database means, and its remedy."""
+
+
+def is_url(where: str | Path) -> bool:
+    """True for the URL of a PostgreSQL database."""
+    return str(where).startswith(("postgresql://", "postgres://", "postgresql+psycopg://"))
+
+
+def _connect(uri: str) -> sqlite3.Connection:
+    """A SQLite connection with the settings of a store."""
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=_BUSY, check_same_thread=False)
+    for setting in ("foreign_keys=ON", "synchronous=EXTRA", "trusted_schema=OFF", "cell_size_check=ON"):
+        connection.execute(f"PRAGMA {setting}")
+    return connection
+
+
+def _begin(connection: sa.Connection) -> None:
+    writing = connection.get_execution_options().get("piga_writing", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writing else "BEGIN")
+
+
+def _postgresql(where: str) -> tuple[str, sa.Engine]:
+    """Name of a database without its password, and its engine."""
+    needed("psycopg")
+    try:
+        url = sa.make_url(where).set(drivername="postgresql+psycopg")
+    except (exc.ArgumentError, ValueError):
+        raise StoreError(
+            "the URL of the store is not valid", remedy="e.g. postgresql://user@server/database"
+        ) from None
+    return url.render_as_string(hide_password=True), sa.create_engine(url, poolclass=NullPool)
+
+
+@contextmanager
+def explained(name: str) -> Iterator[None]:
+    """Turn a database error into one clear message."""
+    try:
+        yield
+    except (exc.DBAPIError, exc.InvalidRequestError, OverflowError, UnicodeDecodeError, sqlite3.Error) as error:
+        text = " ".join(str(getattr(error, "orig", None) or error).split())
+        what, remedy = next(
+            (words for part, words in _WORDS.items() if part in text.lower()),
+            ("the database refused", "check the name, the server and the rights"),
+        )
+        raise StoreError(f"{name}: {what} ({text})", remedy=remedy) from None
+
+
+# -- rows ----------------------------------------------------------------------------------------------
+
+_ROWS, _PARTS = 500, 16
+"""Entries, and parts of a file, fetched at a time."""
+
+
+class Rows:
+    """What a store holds, read and written within one transaction."""
+
+    def __init__(self, connection: sa.Connection) -> None:
+        self.connection = connection
+
+    def create(self, identity: bytes) -> None:
+        """Create the tables of a new store, with its identity, its head and the version of the tables."""
+        if self.connection.dialect.name == "sqlite":
+            self.connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+            self.connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA}")
+        metadata.create_all(self.connection)
+        self.connection.execute(VERSION.insert().values(version_num=f"{SCHEMA:04d}"))
+        self.connection.execute(STORE.insert().values(document=identity))
+        self.connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(identity)))
+
+    def version(self) -> int:
+        """Version of the tables; 0 if there are none yet."""
+        if self.connection.dialect.name == "sqlite":
+            owner, version = (
+                int(self.connection.exec_driver_sql(f"PRAGMA {mark}").scalar_one())
+                for mark in ("application_id", "user_version")
+            )
+            if owner != APPLICATION_ID and sa.inspect(self.connection).get_table_names():
+                raise StoreError("it is a SQLite database of another program", remedy="check --store")
+            return version if owner == APPLICATION_ID else 0
+        if not sa.inspect(self.connection).has_table(VERSION.name):
+            return 0
+        return int(self.connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none() or 0)
+
+    def identity(self) -> bytes:
+        """The identity document."""
+        return _as_bytes(self.connection.execute(sa.select(STORE.c.document)).scalar_one(), "the identity")
+
+    def head(self) -> Head:
+        """Number and hash of the last entry."""
+        row = self.connection.execute(sa.select(HEAD)).one()
+        if not isinstance(row.number, int) or not isinstance(row.head, str):
+            raise StoreError("the head is damaged in the store", remedy="restore a backup")
+        return Head(row.number, row.head)
+
+    def entries(self, *conditions: sa.ColumnElement[bool]) -> Iterator[Entry]:
+        """The chain in order, or its entries for which the conditions hold. Only a few are in memory at a time."""
+        wanted = sa.select(ENTRY).where(sa.true(), *conditions).order_by(ENTRY.c.number)
+        with self.connection.execute(wanted, execution_options={"yield_per": _ROWS}) as rows:
+            yield from map(_entry_of, rows)
+
+    def find(self, condition: sa.ColumnElement[bool]) -> Entry | None:
+        """The entry for which the condition holds; None if there is none."""
+        row = self.connection.execute(sa.select(ENTRY).where(condition)).first()
+        return None if row is None else _entry_of(row)
+
+    def add(self, entry: Entry, record: RecordDocument) -> None:
+        """Append an entry, and make it the head."""
+        place = {"number": entry.number, "head": sha256(entry.link)}
+        texts = {"id": record.id, "serial": record.serial, "link": entry.link, "document": entry.document}
+        self.connection.execute(ENTRY.insert().values(place | texts))
+        self.connection.execute(HEAD.update().values(place))
+
+    def file_names(self) -> set[str]:
+        """SHA-256 of every stored file."""
+        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
+
+    def file(self, name: str) -> Iterator[bytes]:
+        """The bytes of a stored file. Each part is checked, and the whole file at the end."""
+        wanted = sa.select(BLOB.c.size, CHUNK).select_from(BLOB.outerjoin(CHUNK)).where(BLOB.c.sha256 == name)
+        size, digest, length = None, hashlib.sha256(), 0
+        ordered = wanted.order_by(CHUNK.c.part)
+        with self.connection.execute(ordered, execution_options={"yield_per": _PARTS}) as stored:
+            for number, row in enumerate(stored):
+                size = row.size
+                if row.part is None:  # a file without content
+                    break
+                part = _as_bytes(row.data, f"file {name[:12]}")
+                if (row.part, row.digest) != (number, sha256(part)) or row.codec not in ("plain", "zlib"):
+                    raise _damaged(name)
+                if row.codec == "zlib":
+                    with suppress(zlib.error):  # then the digest of the whole is another
+                        part = zlib.decompressobj().decompress(part, PART)
+                digest.update(part)
+                length += len(part)
+                yield part
+        if size is None:
+            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
+        if (digest.hexdigest(), length) != (name, size):
+            raise _damaged(name)
+
+    def add_file(self, name: str, size: int, parts: Iterable[bytes]) -> None:
+        """Store a file under its announced digest and size. A file that the store already has is not stored again."""
+        if self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
+            return
+        self.connection.execute(BLOB.insert().values(sha256=name, size=size))
+        digest, length = hashlib.sha256(), 0
+        for number, part in enumerate(parts):
+            digest.update(part)
+            length += len(part)
+            codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
+            self.connection.execute(
+                CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
+            )
+        if (digest.hexdigest(), length) != (name, size):
+            raise StoreError(
+                f"file {name[:12]}: changed while it was stored",
+                remedy="stop the program that writes it, try again",
+            )
+
+
+def _entry_of(row: sa.Row) -> Entry:
+    """A row of the chain as the bytes that are hashed."""
+    what = f"record {row.number}"
+    link, document = _as_bytes(row.link, what), _as_bytes(row.document, what)
+    return Entry(row.number, link, document, (row.head, row.id, row.serial))
+
+
+def _as_bytes(value: object, what: str) -> bytes:
+    """The value of a column that must hold bytes."""
+    if not isinstance(value, bytes | memoryview):
+        raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
+    return bytes(value)
+
+
+def _damaged(name: str) -> StoreError:
+    return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")
+
+
+# -- store ---------------------------------------------------------------------------------------------
 
 _INPUT_ROLES = ("run", "data", "sidecar", "stand")
 """Roles of the files that a calibration is computed from."""
 
 
-class Store(Database):
+class Store:
     """A store of records, opened by :func:`piga.open_store`. Use it in a ``with`` block or close it.
 
-    ``where`` is a SQLite file, or the URL of a PostgreSQL database. ``create`` makes the store if there is none.
+    ``where`` is a SQLite file, or the URL of a PostgreSQL database. ``create`` makes the store if there is none, with a new
+    ``identity`` unless that of a backup is given. What a killed writer left is rolled back by the database itself.
     """
 
-    def __init__(self, where: str | Path, *, create: bool = False) -> None:
-        if not is_url(where) and (os.path.exists(where) or not create):  # noqa: PTH110 - Path.exists refuses long names
-            open_regular(Path(where), "a store; piga records add makes a new one", StoreError).close()
-        super().__init__(where, new=create)
+    def __init__(self, where: str | Path, *, create: bool = False, identity: bytes | None = None) -> None:
+        self.path = None if is_url(where) else Path(where)
+        if self.path is None:
+            self.name, self.engine = _postgresql(str(where))
+        else:
+            if os.path.exists(where) or not create:  # noqa: PTH110 - Path.exists refuses long names
+                open_regular(self.path, "a store; piga records add makes a new one", StoreError).close()
+            self.name, uri = str(where), f"{self.path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
+            self.engine = sa.create_engine("sqlite://", creator=lambda: _connect(uri), poolclass=NullPool)
+            sa.event.listen(self.engine, "begin", _begin)
         if create:
             with self.writing() as rows:
                 if rows.version() == 0:
-                    rows.create()
-        self.check_version()
+                    rows.create(identity or encode(Identity(SCHEMAS[Identity], secrets.token_hex(16), now())))
+        with self.reading() as rows:
+            version = rows.version()
+        if version == 0:
+            raise StoreError(
+                f"{self.name}: holds no store yet", remedy="check --store; piga records add makes a new store"
+            )
+        if version != SCHEMA:
+            raise StoreError(
+                f"{self.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
+                remedy="update piga; the store was not touched",
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -72,6 +349,28 @@ class Store(Database):
     def close(self) -> None:
         """Close the connection."""
         self.engine.dispose()
+
+    @contextmanager
+    def reading(self) -> Iterator[Rows]:
+        """A read-only transaction on one snapshot."""
+        with explained(self.name), self.engine.connect() as connection:
+            if self.path is None:
+                connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            with connection.begin():
+                if self.path is not None:
+                    connection.exec_driver_sql("PRAGMA query_only=ON")
+                yield Rows(connection)
+
+    @contextmanager
+    def writing(self) -> Iterator[Rows]:
+        """The transaction of the only writer. At its end it is committed and on disk; on any error it is rolled back."""
+        with explained(self.name), self.engine.connect() as connection:
+            connection.execution_options(piga_writing=True)
+            with connection.begin():
+                if self.path is None:
+                    connection.exec_driver_sql("SET LOCAL synchronous_commit = on")
+                    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
+                yield Rows(connection)
 
     def head(self) -> Head:
         """The current head of the chain."""
@@ -165,8 +464,26 @@ class Store(Database):
         """
         with self.writing() as rows:
             head = rows.head()
-            place = Position(new_id(), head.number + 1, _identity(rows).store, head.sha256)
-            document = self._document(rows, place, draft)
+            document = RecordDocument(
+                schema=SCHEMAS[RecordDocument],
+                id=new_id(),
+                store=_identity(rows).store,
+                number=head.number + 1,
+                after=head.sha256,
+                created=now(),
+                operator=draft.operator.strip(),
+                reason=draft.reason.strip(),
+                serial=draft.serial,
+                files=tuple(_keep(rows, file) for file in draft.files),
+                request=draft.request,
+                software=draft.software,
+                measured=draft.measured,
+                supersedes=None if draft.supersedes is None else self._find(rows, draft.supersedes).id,
+            )
+            if draft.report is not None:
+                report = _keep(rows, draft.report(document))
+                document = msgspec.structs.replace(document, files=(*document.files, report))
+            self.check(rows, document)
             return self.insert(rows, document, encode(document))
 
     def insert(
@@ -174,40 +491,10 @@ class Store(Database):
     ) -> Record:
         """Append a record whose files are stored, with a new link. ``raw``: the bytes of the document."""
         head = rows.head()
-        link = Link(LINK, head.number + 1, head.sha256, sha256(raw), now(), taken_over)
+        link = Link(SCHEMAS[Link], head.number + 1, head.sha256, sha256(raw), now(), taken_over)
         entry = Entry(link.number, encode(link), raw)
         rows.add(entry, document)
         return Record(link.number, sha256(entry.link), link, document)
-
-    def _document(self, rows: Rows, place: Position, draft: Draft) -> RecordDocument:
-        files = []
-        for file in (*draft.files, *([draft.report(place)] if draft.report else [])):
-            digest, size = digest_of(file.parts())
-            if file.sha256 not in (None, digest):
-                raise StoreError(
-                    f"{file.name}: is not the file that the calibration was computed from (its SHA-256 differs)",
-                    remedy="calibrate again, with the files as they are now",
-                )
-            rows.add_file(digest, size, file.parts())
-            files.append(StoredFile(file.role, file.name, digest, size))
-        document = RecordDocument(
-            schema=RECORD,
-            id=place.id,
-            store=place.store,
-            number=place.number,
-            after=place.after,
-            created=now(),
-            operator=draft.operator.strip(),
-            reason=draft.reason.strip(),
-            serial=draft.serial,
-            files=tuple(files),
-            request=draft.request,
-            software=draft.software,
-            measured=draft.measured,
-            supersedes=None if draft.supersedes is None else self._find(rows, draft.supersedes).id,
-        )
-        self.check(rows, document)
-        return document
 
     def check(self, rows: Rows, document: RecordDocument) -> None:
         """Refuse a record that must not be added or imported. Its files are stored already."""
@@ -218,9 +505,8 @@ class Store(Database):
         if document.supersedes is None:
             return
         there = rows.find(ENTRY.c.id == document.supersedes)
-        old = (
-            None if there is None else self._record(there)
-        )  # an export may leave out a record that another amends
+        # an export may leave out a record that another amends
+        old = None if there is None else self._record(there)
         self._check_amended(rows, document.supersedes, document.serial, old)
         if old and old.document.store != document.store and document.store != _identity(rows).store:
             raise ArgumentError(
@@ -256,18 +542,31 @@ class Store(Database):
             condition = ENTRY.c.number == int(text)
         else:
             raise StoreError(f"'{name}' is not a record", remedy="give a number, or a name like 7K3QP-9XW2M")
-        row = rows.find(condition)
-        if row is None:
+        entry = rows.find(condition)
+        if entry is None:
             raise StoreError(f"{self.name}: no record {name}", remedy="piga records list shows them")
-        return self._record(row)
+        return self._record(entry)
 
     def _each(self, rows: Rows, serial: str | None) -> Iterator[Record]:
-        return map(self._record, rows.chain(*([] if serial is None else [ENTRY.c.serial == serial])))
+        return map(self._record, rows.entries(*([] if serial is None else [ENTRY.c.serial == serial])))
 
-    def _record(self, row: sa.Row) -> Record:
-        what, entry = f"{self.name}: record {row.number}", entry_of(row)
-        link = decode(entry.link, Link, LINK, what)
-        return Record(row.number, row.head, link, decode(entry.document or b"", RecordDocument, RECORD, what))
+    def _record(self, entry: Entry) -> Record:
+        what = f"{self.name}: record {entry.number}"
+        link = decode(entry.link, Link, what)
+        document = decode(entry.document or b"", RecordDocument, what)
+        return Record(entry.number, sha256(entry.link), link, document)
+
+
+def _keep(rows: Rows, file: DraftFile) -> StoredFile:
+    """Store a file of a draft."""
+    digest, size = digest_of(file.parts())
+    if file.sha256 not in (None, digest):
+        raise StoreError(
+            f"{file.name}: is not the file that the calibration was computed from (its SHA-256 differs)",
+            remedy="calibrate again, with the files as they are now",
+        )
+    rows.add_file(digest, size, file.parts())
+    return StoredFile(file.role, file.name, digest, size)
 
 
 def _write_new(path: Path, parts: Iterator[bytes]) -> None:
@@ -287,19 +586,14 @@ def _write_new(path: Path, parts: Iterator[bytes]) -> None:
 
 
 def _identity(rows: Rows) -> Identity:
-    return decode(rows.identity(), Identity, IDENTITY, "identity")
+    return decode(rows.identity(), Identity, "identity")
 
 
 def _check_calibration(rows: Rows, file: StoredFile, serial: str) -> None:
     """Refuse a file that is no calibration, or one of another instrument."""
     if file.size > MOST_BYTES:
-        raise StoreError(
-            f"{file.name}: larger than {MOST_BYTES} bytes",
-            remedy="a calibration is never so large; check the file",
-        )
+        raise StoreError(f"{file.name}: larger than {MOST_BYTES} bytes", remedy="check the file")
     stated = calibration_from_bytes(b"".join(rows.file(file.sha256)), Path(file.name)).serial
     if stated != serial:
-        raise StoreError(
-            f"{file.name}: is of instrument '{stated[:60]}', the record of '{serial}'",
-            remedy="keep each calibration under its own instrument",
-        )
+        what = f"{file.name}: is of instrument '{stated[:60]}', the record of '{serial}'"
+        raise StoreError(what, remedy="keep each calibration under its own instrument")

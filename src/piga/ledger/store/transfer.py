@@ -21,12 +21,9 @@ import sqlalchemy as sa
 
 from piga._version import __version__
 from piga.errors import CancelledError, PigaError, StoreError
-from piga.ledger.store.database import ENTRY, HEAD, SCHEMA, STORE, VERSION, Database, Rows, entry_of, is_url
 from piga.ledger.store.documents import (
-    IDENTITY,
-    LINK,
+    DIGEST,
     PART,
-    RECORD,
     Entry,
     Head,
     Identity,
@@ -36,10 +33,9 @@ from piga.ledger.store.documents import (
     checked_text,
     decode,
     digest_of,
-    is_digest,
     sha256,
 )
-from piga.ledger.store.store import Store
+from piga.ledger.store.store import ENTRY, HEAD, SCHEMA, STORE, VERSION, Rows, Store, is_url
 from piga.output import write_whole
 from piga.progress import Progress, report
 from piga.text_files import JsonError, json_object, open_regular
@@ -88,7 +84,7 @@ def _write_members(rows: Rows, path: Path, numbers: set[int] | None, progress: P
             add(f"links/{number:08d}.json", entry.link)
             if entry.document is not None and (numbers is None or number in numbers):
                 add(f"records/{number:08d}.json", entry.document)
-                document = decode(entry.document, RecordDocument, RECORD, "record")
+                document = decode(entry.document, RecordDocument, "record")
                 wanted |= {file.sha256 for file in document.files}
         for done, name in enumerate(sorted(wanted), start=1):
             with target.open(_member(f"files/{name}"), "w", force_zip64=True) as stream:
@@ -213,7 +209,8 @@ class Export:
 
     def _damaged(self, reason: str) -> StoreError:
         return StoreError(
-            f"{self.name}: the export is damaged ({reason})", remedy="export again, or use another copy"
+            f"{self.name}: the export is damaged ({reason})",
+            remedy="export again, or use another copy; if it is a store itself, copy it and name it with --store",
         )
 
 
@@ -221,7 +218,6 @@ class Export:
 
 _Source = Rows | Export
 """What holds a chain: a store, or an export of one."""
-_MAX_PROBLEMS = 100
 
 
 @dataclass(eq=False)
@@ -239,11 +235,6 @@ class Verification:
     def sound(self) -> bool:
         """True if there is no problem."""
         return not self.problems
-
-    def problem(self, text: str) -> None:
-        """Add a problem. Only the first hundred are kept."""
-        if len(self.problems) < _MAX_PROBLEMS:
-            self.problems.append(text)
 
     def require_sound(self, name: str) -> None:
         """Refuse what is not sound."""
@@ -282,9 +273,9 @@ def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | No
     except CancelledError:
         raise
     except PigaError as error:
-        result.problem(error.message)
+        result.problems.append(error.message)
     except (TypeError, ValueError, OverflowError) as error:
-        result.problem(f"something in it cannot be read at all ({error})")
+        result.problems.append(f"something in it cannot be read at all ({error})")
     return result
 
 
@@ -300,22 +291,22 @@ def check_chain(
 ) -> None:
     """Check links, records and files of a chain. Problems are added to ``result``."""
     identity = source.identity()
-    store = decode(identity, Identity, IDENTITY, "identity", strict=True).store
+    store = decode(identity, Identity, "identity", strict=True).store
     head, expected = sha256(identity), 1
     seen: dict[str, int] = {head: 0}
     names: set[str] = set()
     wanted: dict[str, int] = {}
     for entry in source.entries():
         try:
-            link = decode(entry.link, Link, LINK, f"link {entry.number}", strict=True)
+            link = decode(entry.link, Link, f"link {entry.number}", strict=True)
             if entry.number != expected or link.number != expected:
-                result.problem(f"record {expected} is missing: {entry.number} follows")
+                result.problems.append(f"record {expected} is missing: {entry.number} follows")
             if link.previous != head:
-                result.problem(f"record {entry.number}: its link does not follow the one before it")
+                result.problems.append(f"record {entry.number}: its link does not follow the one before it")
             if entry.document is not None:
                 _check_document(result, entry, link, store, names, wanted)
         except StoreError as error:
-            result.problem(error.message)
+            result.problems.append(error.message)
         head, expected = sha256(entry.link), entry.number + 1
         seen[head] = entry.number
         result.records += entry.document is not None
@@ -324,7 +315,7 @@ def check_chain(
     for known in heads:
         result.known[known] = seen.get(known.lower())
         if result.known[known] is None:
-            result.problem(
+            result.problems.append(
                 f"head {known}: is not in this chain: it was altered, cut short, or is another store's"
             )
 
@@ -334,27 +325,27 @@ def _check_document(
 ) -> None:
     raw = entry.document or b""
     if sha256(raw) != link.record:
-        result.problem(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
-    document = decode(raw, RecordDocument, RECORD, f"record {entry.number}", strict=True)
+        result.problems.append(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
+    document = decode(raw, RecordDocument, f"record {entry.number}", strict=True)
     if entry.columns not in (None, (sha256(entry.link), document.id, document.serial)):
-        result.problem(f"record {entry.number}: the table's columns do not fit the record")
+        result.problems.append(f"record {entry.number}: the table's columns do not fit the record")
     place = (store, link.number, link.previous)
     if link.taken_over is not None:
         place = _place_of_origin(link.taken_over, link.record)
     if (document.store, document.number, document.after) != place:
-        result.problem(f"record {entry.number}: was not written for this place")
+        result.problems.append(f"record {entry.number}: was not written for this place")
     if document.id in names:
-        result.problem(f"record {entry.number}: has the name of another ({document.id})")
+        result.problems.append(f"record {entry.number}: has the name of another ({document.id})")
     names.add(document.id)
     for file in document.files:
-        if not is_digest(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
-            result.problem(f"record {entry.number}: file '{file.name}' has no valid digest or size")
+        if not DIGEST.fullmatch(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
+            result.problems.append(f"record {entry.number}: file '{file.name}' has no valid digest or size")
 
 
 def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
     """For an imported record: its original store, its number there and the head before it."""
-    identity = decode(taken_over.identity.encode(), Identity, IDENTITY, "identity of the origin", strict=True)
-    link = decode(taken_over.link.encode(), Link, LINK, "link of the origin", strict=True)
+    identity = decode(taken_over.identity.encode(), Identity, "identity of the origin", strict=True)
+    link = decode(taken_over.link.encode(), Link, "link of the origin", strict=True)
     return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
 
 
@@ -363,16 +354,16 @@ def _check_files(
 ) -> None:
     there = source.file_names()
     for name in sorted(wanted.keys() - there):
-        result.problem(f"file {name[:12]}: is missing")
+        result.problems.append(f"file {name[:12]}: is missing")
     for name in sorted(there - wanted.keys()):
-        result.problem(f"file {str(name)[:12]}: belongs to no record")
+        result.problems.append(f"file {str(name)[:12]}: belongs to no record")
     both = sorted(wanted.keys() & there)
     for name in both:
         try:
             if digest_of(source.file(name)) != (name, wanted[name]):
-                result.problem(f"file {name[:12]}: was altered")
+                result.problems.append(f"file {name[:12]}: was altered")
         except StoreError as error:
-            result.problem(error.message)
+            result.problems.append(error.message)
         result.files += 1
         report(progress, result.files, len(both), "checking")
 
@@ -380,31 +371,29 @@ def _check_files(
 def _check_tables(result: Verification, rows: Rows) -> None:
     """Check the tables of one row, and that the chain is as long as the head says."""
     if rows.head() != Head(result.records, result.head):
-        result.problem(f"the chain was cut short, or its end altered: {result.records} records are there")
+        result.problems.append(
+            f"the chain was cut short, or its end altered: {result.records} records are there"
+        )
     for table in (STORE, HEAD, VERSION):
         if rows.connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
-            result.problem(f"table {table.name}: one row is needed")
+            result.problems.append(f"table {table.name}: one row is needed")
     if rows.connection.execute(sa.select(VERSION.c.version_num)).scalar() != f"{SCHEMA:04d}":
-        result.problem("the version of the tables was altered")
+        result.problems.append("the version of the tables was altered")
 
 
 def _check_sqlite(result: Verification, connection: sa.Connection) -> None:
     rows = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
     if rows != ["ok"]:
-        result.problem(f"SQLite integrity_check: {'; '.join(str(row) for row in rows[:3])}")
+        result.problems.append(f"SQLite integrity_check: {'; '.join(str(row) for row in rows[:3])}")
     if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
-        result.problem("a part of a file belongs to no file")
+        result.problems.append("a part of a file belongs to no file")
 
 
 # -- transfer ------------------------------------------------------------------------------------------
 
 
 def export_records(
-    store: Store,
-    target: Path,
-    chosen: Iterable[str] | None = None,
-    *,
-    progress: Progress | None = None,
+    store: Store, target: Path, chosen: Iterable[str] | None = None, *, progress: Progress | None = None
 ) -> Verification:
     """Write all records of a store, or the chosen ones, with all links of its chain.
 
@@ -443,15 +432,14 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
             for entry in export.entries():
                 if entry.document is None:
                     continue
-                document = decode(entry.document, RecordDocument, RECORD, "record")
-                there = rows.find(ENTRY.c.id == document.id)
-                if there is not None and entry_of(there).document != entry.document:
+                document = decode(entry.document, RecordDocument, "record")
+                if (there := rows.find(ENTRY.c.id == document.id)) is not None:
+                    if there.document == entry.document:
+                        continue
                     raise StoreError(
                         f"record {document.id} is in the store already, with other content",
                         remedy="one of the two was changed: run piga records verify on both",
                     )
-                if there is not None:
-                    continue
                 _copy_files(rows, export, document)
                 try:
                     store.check(rows, document)
@@ -461,7 +449,7 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
                         f"{error.message}",
                         remedy="nothing was imported: ask its laboratory for an export without it (--record)",
                     ) from None
-                link = decode(entry.link, Link, LINK, f"link {entry.number}")
+                link = decode(entry.link, Link, f"link {entry.number}")
                 origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
                 store.insert(rows, document, entry.document, taken_over)
@@ -472,40 +460,32 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
 def restore(source: Path, target: str | Path) -> Verification:
     """Create a store from a backup (a complete export), with the same identity, links and head."""
     result = Verification(str(source))
-    with open_regular(source, "a backup", StoreError) as stream:
-        if stream.read(15) == b"SQLite format 3":  # backups of piga 0.3 and before
-            raise StoreError(
-                f"{source}: is a store itself, not a backup of one",
-                remedy="copy the file and name it with --store; for PostgreSQL write a backup of it first",
-            )
 
     def fill(place: str | Path) -> None:
         """The copy is checked before it is committed."""
-        database = Database(place, new=True)
-        with database.writing() as rows:
-            if rows.version() != 0:
+        with Store(place, create=True, identity=export.identity()) as store, store.writing() as rows:
+            if rows.head().number or rows.identity() != export.identity():
                 raise StoreError(
-                    f"{database.name}: there is a store already", remedy="restore into an empty database"
+                    f"{store.name}: there is a store already", remedy="restore into an empty database"
                 )
-            rows.create(export.identity())
             for entry in export.entries():
                 if entry.document is None:
                     raise StoreError(
                         f"the export lacks record {entry.number}",
                         remedy="restore from a backup, or import what is there",
                     )
-                document = decode(entry.document, RecordDocument, RECORD, "record")
+                document = decode(entry.document, RecordDocument, "record")
                 _copy_files(rows, export, document)
                 rows.add(entry, document)
             check_chain(result, rows)
             result.require_sound(result.name)
+            result.name = store.name if is_url(target) else str(target)
 
     with Export(source) as export:
         if is_url(target):
             fill(target)
         else:
             write_whole(Path(target), fill, replace=False, kind=StoreError)
-    result.name = str(target)
     return result
 
 
