@@ -64,31 +64,30 @@ def test_a_gap_inside_a_segment_loses_the_phase_of_a_wrapping_counter(tmp_path: 
     assert events(run)["phase-lost"] == 1
 
 
-@pytest.mark.parametrize("fold", ['"360 deg"', "360"], ids=["with its unit", "in the unit of the column"])
-def test_angle_that_folds(tmp_path: Path, fold: str) -> None:
-    rows = [f"{i / 20},{(25.4 * i) % 360.0:.6f},1.0,0.1,0.0" for i in range(60)]
-    write_log(tmp_path, rows)
-    path = write_run(tmp_path)
-    text = path.read_text().replace('kind = "counts" }', f'kind = "angle", unit = "deg", wraps_at = {fold} }}')
-    path.write_text(text)
-    run = piga.read_run(path)
-    np.testing.assert_allclose(psi_steps(run), np.radians(25.4), atol=1e-7)
-    assert run.phase_group == (0,)
-
-
-@pytest.mark.parametrize(("span", "kept"), [("1080 deg", True), ("1100 deg", False)])
-def test_an_angle_in_mrad_keeps_its_phase_over_whole_turns(tmp_path: Path, span: str, kept: bool) -> None:
+@pytest.mark.parametrize(
+    ("unit", "fold", "kept"),
+    [
+        ("deg", '"360 deg"', True),
+        ("deg", "360", True),
+        ("mrad", '"1080 deg"', True),
+        ("mrad", '"1100 deg"', False),
+    ],
+)
+def test_an_angle_that_folds_keeps_its_phase_over_whole_turns(
+    tmp_path: Path, unit: str, fold: str, kept: bool
+) -> None:
     """1080 deg are three turns; in mrad the division leaves a rounding error. Kept across the gap of two segments."""
-    fold = np.radians(float(span.split(maxsplit=1)[0])) * 1e3
-    turned = np.radians(25.4 * np.arange(120)) * 1e3 % fold
+    span = float(fold.strip('"').split(maxsplit=1)[0])
+    turned = 25.4 * np.arange(120) % span
+    turned = turned if unit == "deg" else np.radians(turned) * 1e3
     rows = [f"{i / 20 + 60 * (i >= 60)},{a:.9f},1.0,0.1,0.0,{i >= 60:d}" for i, a in enumerate(turned)]
     write_log(tmp_path, rows, header="t,n,fx,fy,fz,p")
     path = write_run(tmp_path, data='segment = "p"')
-    text = path.read_text().replace(
-        'kind = "counts" }', f'kind = "angle", unit = "mrad", wraps_at = "{span}" }}'
-    )
-    path.write_text(text)
-    assert (len(set(piga.read_run(path).phase_group)) == 1) == kept
+    folds = f'kind = "angle", unit = "{unit}", wraps_at = {fold} }}'
+    path.write_text(path.read_text().replace('kind = "counts" }', folds))
+    run = piga.read_run(path)
+    np.testing.assert_allclose(psi_steps(run), np.radians(25.4), atol=1e-7)
+    assert (len(set(run.phase_group)) == 1) == kept
 
 
 def test_an_output_that_is_locked_in_one_position_is_not_called_saturated(tmp_path: Path) -> None:
@@ -191,10 +190,7 @@ def test_lost_and_disordered_sequence_numbers_are_counted(tmp_path: Path) -> Non
     numbers = [*range(10), *range(13, 30), *range(25, 38)]
     rows = [f"{row},{k}" for row, k in zip(lines(len(numbers)), numbers, strict=True)]
     run = read(tmp_path, rows, header="t,n,fx,fy,fz,k", data='sequence = { column = "k" }')
-    result = {event.kind: event for event in run.quality.events}
-    assert result["sequence-gap"].count == 1
-    assert result["sequence-gap"].detail.startswith("3 samples missing")
-    assert result["sequence-back"].count == 1
+    assert {"sequence-gap": 1, "sequence-back": 1}.items() <= events(run).items()
     assert np.flatnonzero(run.begins).tolist() == [0, 10, 27]
 
 

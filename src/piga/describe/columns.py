@@ -17,7 +17,7 @@ import numpy as np
 
 from piga.errors import ArgumentError, UnitError
 from piga.formats.text.time_stamp import forms_of
-from piga.reading.checks import positions
+from piga.reading.columns import positions
 from piga.results import Array
 from piga.units import G0, parse_unit
 

@@ -23,7 +23,7 @@ from piga.describe.columns import (
     without_fills,
 )
 from piga.errors import DataError, PigaError
-from piga.formats.columns import RecordStream
+from piga.formats.columns import TEXT_SUFFIXES, RecordStream, columns_stream, file_kind
 from piga.formats.text.convention import (
     COMMENT,
     GUESSED,
@@ -43,7 +43,6 @@ from piga.formats.text.convention import (
 )
 from piga.formats.text.reader import TextStream, is_number, split_cells
 from piga.formats.text.time_stamp import forms_of
-from piga.reading.columns import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.results import Array
 from piga.text_files import open_regular
 
@@ -98,7 +97,7 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
     Parameters
     ----------
     path:
-        The log, in any format that :func:`piga.reading.columns.open_stream` reads.
+        The log, in any format that :func:`piga.formats.columns.columns_stream` reads.
     told:
         What some columns hold, by name: ``{"CH3": "angle [deg]"}``. The others are guessed.
     """

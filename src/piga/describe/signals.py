@@ -18,7 +18,7 @@ from piga.describe.columns import TOLD, ColumnGuess
 from piga.describe.draft import HEIGHT, RunFileDraft, number_in
 from piga.describe.log import Guess, LogDescription
 from piga.errors import UnitError
-from piga.reading.checks import positions
+from piga.reading.columns import positions
 from piga.results import Array
 from piga.stand.scenario import head_positions
 from piga.units import G0, parse_unit, to_si

@@ -8,41 +8,44 @@ from __future__ import annotations
 import hashlib
 import math
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import RunFileError, Where
+from piga.errors import DataError, RunFileError, Where
 from piga.formats.columns import RecordStream
 from piga.output import check_results
-from piga.reading.checks import (
-    OutputScale,
+from piga.reading.columns import (
+    RawColumns,
+    collect,
+    file_digest,
     find_positions,
-    leave_out_ranges,
-    leave_out_repeats,
-    leave_out_settling,
-    note_doubtful,
-    note_norm,
-    note_sequence,
-    note_stuck,
-    unwrapped,
+    read_columns,
+    stand_files,
+    steady,
 )
-from piga.reading.columns import RawColumns, collect, file_digest, read_columns, stand_files, steady
-from piga.records.arrays import empty, largest_size, norms, scaled, stored
-from piga.records.calibration.diagnostics import Quality
+from piga.records.arrays import changes, empty, largest_size, norms, scaled, stored
+from piga.records.calibration.diagnostics import Event, Quality
 from piga.records.run import Run, TimeBase, examine_time
 from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColumn, RunFile, read_run_file
 from piga.records.terms import integral_unit, scale_factor_in
 from piga.results import Array
 from piga.text_files import toml_bytes
-from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
+from piga.units import G0, UNIT_FACTORS, conversion_factor, offset_to_si, parse_unit, to_si
 from piga.upper import doors
 
 _LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
 _LEAST_TURN = 0.5
 """Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
+_STUCK = 8
+"""Fewest equal extreme values in a row that are reported (own choice)."""
+_RESTING = 6.0
+"""Steps by which a reading falls beside a run of equal extreme values that is no turning point: twice those of one."""
+_SAMPLED = 1 << 17
+"""Rows of a long record that are examined for wrong units (own choice)."""
 _WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -95,7 +98,7 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
     raw.events += base.events
     _check_enough(path, raw, data, base, rows_read)
     if data.sequence is not None:
-        note_sequence(raw, raw.numbers[data.sequence.column], data.sequence.wraps_at, base.begins)
+        _note_sequence(raw, raw.numbers[data.sequence.column], data.sequence.wraps_at, base.begins)
     f, base_rate = _reference(path, run_file, raw, t)
     scale = _output_scale(run_file, raw)
     scale_factor = scale_factor_in(instrument.scale_factor, run_file.unit)
@@ -107,8 +110,8 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
         fastest = 1.5 * scale_factor * float(norms(f).max()) if unfolded else math.inf
         _mark_lost(raw, t, output, base, lost, fastest, fold)
     if data.reference is not None:
-        note_norm(raw, f)
-    note_doubtful(raw, data.output.kind == "rate", t, output, f, base, scale_factor, scale)
+        _note_norm(raw, f)
+    _note_doubtful(raw, data.output.kind == "rate", t, output, f, base, scale_factor, scale)
     segment, labels, groups = _split_lost(raw, lost)
     return Run(
         serial=instrument.serial,
@@ -148,18 +151,27 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     stand = data.segment.holds_of if isinstance(data.segment, PositionColumn) else None
     for name in raw.numbers:
         if name != stand:  # that of the stand is meant to stay where it is
-            note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
+            _note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
     for name, (low, high) in limits.items():
         out = (raw.numbers[name] <= low) | (raw.numbers[name] >= high)
         detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
         raw.leave_out("saturated", out, detail)
-    leave_out_ranges(raw, data.leave_out)
+    for entry in data.leave_out:
+        first, last = entry.rows
+        inside = (raw.rows >= first) & (raw.rows <= last)
+        if not inside.any():
+            remedy = f"give the first and the last row to leave out, from {raw.rows[0]} to {raw.rows[-1]}"
+            words = f"{raw.path}: [data] leave_out: the file has no rows {first} to {last}"
+            raise DataError(words, remedy=remedy, where=Where(raw.path, first))
+        raw.leave_out("left-out", inside, f"rows {first} to {last} are not used: {entry.reason}")
     t = raw.time(data)
     if data.settle is not None:
-        leave_out_settling(raw, t, to_si(data.settle, "s"))
+        begins, seconds = np.diff(raw.segment, prepend=raw.segment[0] - 1) != 0, to_si(data.settle, "s")
+        early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (raw.segment >= 0)
+        raw.leave_out("settling", early, f"the first {seconds:g} s of each position are not used")
     if not raw.usable.any():
         raise raw.refusal("no row has all needed values", "check the columns in [data]")
-    leave_out_repeats(raw, t)
+    _leave_out_repeats(raw, t)
     return raw.keep_usable(t)
 
 
@@ -202,33 +214,33 @@ def _logged(raw: RawColumns, column: ColumnTable | None) -> Array | None:
     return raw.si(column.column, parse_unit(unit).factor, offset_to_si(unit))
 
 
-def _output_scale(run_file: RunFile, raw: RawColumns) -> OutputScale:
+def _output_scale(run_file: RunFile, raw: RawColumns) -> _OutputScale:
     instrument, output = run_file.instrument, run_file.data.output
     direct, counts, unit = instrument.kind == "direct", output.counted, str(output.unit)
     if not counts:
         raw.unit(output.column, run_file.unit if direct else unit)
     span = None if instrument.counter_bits is None or not counts else 2.0**instrument.counter_bits
     if direct:  # counts and the declared unit are kept: the phase of a count is of no matter
-        return OutputScale(1.0, span, counts=counts, unit=integral_unit(run_file.unit))
+        return _OutputScale(1.0, span, counts=counts, unit=integral_unit(run_file.unit))
     if output.kind == "rate":
-        return OutputScale(conversion_factor(unit, "rad/s"))
+        return _OutputScale(conversion_factor(unit, "rad/s"))
     if counts:
         factor = 2.0 * np.pi / float(instrument.counts_per_revolution or 0.0)
     else:
         factor = conversion_factor(unit, "rad")
         span = None if output.fold is None else output.fold / factor
     turns = 0.0 if span is None else span * factor / (2.0 * np.pi)
-    return OutputScale(factor, span, abs(turns - round(turns)) <= _WHOLE, counts)
+    return _OutputScale(factor, span, abs(turns - round(turns)) <= _WHOLE, counts)
 
 
 def _output(
-    data: DataTable, raw: RawColumns, base: TimeBase, scale: OutputScale, largest: float
+    data: DataTable, raw: RawColumns, base: TimeBase, scale: _OutputScale, largest: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Output in SI, and the samples at which the number of turns was lost. ``largest``: step that the reference allows [rad]."""
     name = data.output.column
     if data.output.kind == "rate":
         return raw.si(name, scale.factor * data.output.direction), np.zeros(raw.count, np.bool_)
-    output, lost = unwrapped(raw, name, base, scale, largest)
+    output, lost = _unwrapped(raw, name, base, scale, largest)
     if data.output.kind == "pulses" and scale.unit == "rad":
         at = np.flatnonzero(base.begins)[1:]
         rows = raw.rows[at] - raw.rows[at - 1]
@@ -289,3 +301,227 @@ def _split_lost(
     )
     raw.note("phase-lost", starts[lost[starts]], detail)
     return stored(np.cumsum(begins, dtype=np.int32)), tuple(names), tuple(groups)
+
+
+# -- checks -------------------------------------------------------------------------------------------------
+
+
+def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    if not edges.size:
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    longest = int(np.argmax(lengths))
+    return int(edges[2 * longest]), int(lengths[longest])
+
+
+def _leave_out_repeats(raw: RawColumns, t: Array) -> None:
+    """Do not use rows with a repeated time (n,): the second of two identical rows, both of two conflicting rows."""
+    index = np.flatnonzero(raw.usable)
+    same = (np.diff(t[index]) == 0.0) & (np.diff(raw.segment[index]) == 0)
+    first, second = index[:-1][same], index[1:][same]
+    identical = np.all([column[first] == column[second] for column in raw.numbers.values()], axis=0)
+    raw.usable[second] = False
+    raw.usable[first[~identical]] = False
+    raw.note("repeated-row", second[identical], "the copy is not used")
+    raw.note("conflicting-row", second[~identical], "same time, other values: neither is used")
+
+
+def _note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
+    """Report runs of the largest or smallest value in a column that otherwise changes all the time.
+
+    A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
+    and not reported: a parabola whose rounded top has the length l falls by three steps at most within l/2 beside it.
+    A run at or beyond the declared ``limits`` is not reported either: it counts as saturated.
+    """
+    values = raw.numbers[name]
+    finite = np.isfinite(values)
+    good = values if finite.all() else values[finite]  # a long column is not copied for nothing
+    if good.size < 4 * _STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
+        return
+    for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
+        start, length = _longest_run(values == extreme)
+        if length < _STUCK or not limits[0] < extreme < limits[1]:
+            continue
+        beside = np.arange(max(start - length // 2, 0), min(start + 3 * length // 2, values.size))
+        near = values[beside[raw.segment[beside] == raw.segment[start]]]
+        steps = np.abs(np.diff(near))
+        step = float(np.min(steps, where=steps > 0.0, initial=np.inf))
+        if float(np.nanmax(np.abs(near - extreme))) > _RESTING * step:
+            detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
+            raw.note("stuck-value", np.arange(start, start + length), detail)
+
+
+def _note_sequence(raw: RawColumns, number: Array, wraps_at: int | None, begins: NDArray[np.bool_]) -> None:
+    """Begin a stretch where a sequence number does not follow the one before. Lost and disordered numbers are counted."""
+    step = changes(number)
+    step[0] = 1.0
+    if wraps_at is not None:
+        np.mod(step, wraps_at, out=step)
+    begins |= step != 1.0
+    gaps, backs = np.flatnonzero(step > 1.0), np.flatnonzero(step <= 0.0)
+    missing = int(min(step[gaps].sum() - gaps.size, 1e18))
+    none = "no increment is formed across it"
+    raw.note("sequence-gap", gaps, f"{missing} samples missing; {none}")
+    raw.note("sequence-back", backs, none)
+
+
+@dataclass(frozen=True)
+class _OutputScale:
+    """Conversion from a reading to the output.
+
+    ``factor``: SI per unit of the reading. ``span``: range after which the reading folds back, in its own unit
+    (None: never). ``keeps_phase``: the span is a whole number of revolutions. ``counts``: the reading is a count. ``unit`` is
+    that of the output: rad, or count for a direct instrument, which has no phase.
+    """
+
+    factor: float
+    span: float | None = None
+    keeps_phase: bool = True
+    counts: bool = False
+    unit: str = "rad"
+
+
+def _note_doubtful(
+    raw: RawColumns,
+    rate: bool,
+    t: Array,
+    output: Array,
+    f: Array,
+    base: TimeBase,
+    K: float,
+    scale: _OutputScale,
+) -> None:
+    """Report units that are probably wrong and an output that does not turn. Nothing is changed. ``K``: nominal scale factor."""
+    at, count = np.arange(0, t.size, max(1, -(-t.size // _SAMPLED))), t.size
+    if rate:
+        shown = output[at]
+    else:
+        at, count = at[~base.begins[at]], count - int(np.count_nonzero(base.begins))
+        shown = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
+    wanted = K * f[at, 0]
+    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
+    if strong.sum() >= _STUCK:
+        ratio = abs(float(np.median(shown[strong] / wanted[strong])))
+        keys = ", scale_factor and counts_per_revolution" if scale.unit == "rad" else " and scale_factor"
+        _note_unit(raw, count, ratio, 0.05, "the output is", f"its unit{keys}")
+    if not rate:
+        _note_stopped(raw, output, t, base.begins, f[:, 0], K / (scale.factor if scale.counts else 1e-3))
+
+
+def _note_norm(raw: RawColumns, f: Array) -> None:
+    """Report a static reference (n, 3) whose norm is g times a factor between units."""
+    norm = norms(f[:: max(1, -(-len(f) // _SAMPLED))])
+    typical = float(np.median(norm))
+    if typical > 0.0 and float(np.quantile(np.abs(norm - typical), 0.9)) <= 0.01 * typical:
+        what = f"|f| = {typical / G0:.5g} g in all positions:"
+        _note_unit(raw, raw.count, typical / G0, 0.01, what, "[data] reference unit")
+
+
+def _note_unit(raw: RawColumns, count: int, ratio: float, tolerance: float, what: str, check: str) -> None:
+    """Report a ratio that is a factor between units."""
+    for factor in UNIT_FACTORS:
+        for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
+            if factor.words and abs(value / factor.value - 1.0) < tolerance:
+                detail = f"{what} too {sense} by {factor.words}? check {check}"
+                raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
+
+
+def _note_stopped(
+    raw: RawColumns, output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float
+) -> None:
+    """Report an output that stands still although the reference demands rotation: locked, stuck or not connected.
+
+    ``a_x`` (n,) is the reference along X0 [m/s^2], ``per_step`` the output units per (m/s^2) and second.
+    """
+    still = ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
+    still[1:] &= output[1:] == output[:-1]  # the first row begins a stretch
+    start, length = _longest_run(still)
+    run = slice(start, start + length)
+    expected = abs(per_step) * float(np.abs(a_x[run]) @ np.diff(t[run], prepend=t[start - 1]))
+    if length >= _STUCK and expected >= 10.0:
+        detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
+        raw.events.append(Event("stopped-output", int(np.count_nonzero(still)), int(raw.rows[start]), detail))
+
+
+def _unwrapped(
+    raw: RawColumns, name: str, base: TimeBase, scale: _OutputScale, largest: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Unwrapped output angle [rad] of a column, and the samples at which the number of turns was lost.
+
+    A folded reading is _unwrapped to the nearest turn inside stretches. Between samples it must move by less
+    than half its range. The check uses ``largest``: the largest output step [rad] between samples that the reference
+    allows; nan without a reference. A jump that only a folded counter or a reset can make is refused.
+    """
+    values, begins, span, unit = raw.numbers[name], base.begins, scale.span, scale.unit
+    lost = np.zeros(values.size, np.bool_)
+
+    def refusal(words: str, remedy: str, at: int | None = None, key: str = "") -> DataError:
+        return raw.refusal(f"column '{name}': {words}", remedy, name, at=at, key=key)
+
+    whole = (values == np.rint(values)) & (np.abs(values) < 2.0**53) if scale.counts else np.ones(1, np.bool_)
+    if not whole.all():
+        at = int(np.argmin(whole))
+        remedy = "set kind to 'angle' or 'rate' with its unit, or name the column of the counts"
+        raise refusal(f"{values[at]:.15g} is not a whole count", remedy, at)
+    step = changes(values) if scale.counts or span is not None else values
+    if span is None:
+        psi = scaled(values, scale.factor)
+    else:
+        top = int(np.argmax(values))
+        if values[top] - values.min() > span:
+            words = f"{values[top]:.17g} lies outside the range of {span:.17g}"
+            raise refusal(words, "correct [instrument] counter_bits (or wraps_at)", top, "counter_bits")
+        folds = np.round(step / span)
+        wraps = int(np.count_nonzero(folds[~begins]))
+        step -= np.multiply(folds, span, out=folds)
+        if wraps:
+            raw.events.append(Event("counter-roll-over", wraps, None, "unwrapped"))
+        fastest, half = largest, 0.5 * span * scale.factor
+        if np.isnan(largest):
+            fastest = 1.2 * scale.factor * float(np.abs(step[~begins]).max(initial=0.0))
+        if fastest >= half:
+            words = (
+                f"between samples the output may move by {fastest:.3g} {unit}, more than half of the counter's range "
+                f"({2.0 * half:.3g} {unit}): a roll-over cannot be recognised"
+            )
+            rate = 1.2 * fastest / base.nominal / half
+            raise refusal(words, f"sample at {rate:.3g} Hz or more, or use a wider counter")
+        psi = stored(np.cumsum(step))
+        psi += values[0]
+        psi *= scale.factor
+        lost[1:] = begins[1:] & (not scale.keeps_phase)
+    size = np.abs(changes(psi))
+    size[begins] = 0.0
+    at = int(np.argmax(size))
+    if size[at] > 10.0 * largest + 2.0:
+        words = f"the output jumps by {size[at]:.4g} {unit} in one sample, the reference allows {largest:.3g} {unit}"
+        remedy = (
+            "if the counter wraps, give [instrument] counter_bits (for an angle: wraps_at); "
+            "if it was reset, start a new segment there; otherwise check scale_factor and the units"
+        )
+        raise refusal(words, remedy, at, "counter_bits")
+    if resets := _resets(values, step, begins, largest / scale.factor) if scale.counts else []:
+        more = ", ".join(str(raw.rows[at]) for at in resets[1:100])
+        also = f", and in rows {more}" if more else ""
+        phases = " and use phases = 'per-segment'" if unit == "rad" else ""
+        at = resets[0]
+        words = f"the counter goes to {values[at]:.17g}, by {step[at]:+.0f} counts{also}: it was reset there"
+        remedy = f"start a new segment there (a segment column){phases}; if it wrapped instead, give [instrument] counter_bits"
+        raise refusal(words, remedy, at, "counter_bits")
+    return psi, stored(lost)
+
+
+def _resets(values: Array, step: Array, begins: NDArray[np.bool_], largest: float) -> list[int]:
+    """Where a counter jumped to about zero inside a stretch, by more than it can have moved, and went on from there.
+
+    No other step within three samples is a third as large.
+    """
+    resets = []
+    sudden = np.flatnonzero((np.abs(step) > 1.5 * largest + 10.0) & ~begins & (np.abs(values) <= largest + 2.0))
+    for at in sudden.tolist():
+        window = slice(max(at - 3, 0), at + 4)
+        size = np.sort(np.abs(step[window]) * ~begins[window])
+        if size.size > 1 and size[-2] < abs(step[at]) / 3.0:
+            resets.append(at)
+    return resets

@@ -1,5 +1,7 @@
 """The columns of a data file of any format as read, in the units of the file. All chunks are joined.
 
+The column of a stand tells the positions where nothing numbers them (:func:`positions`).
+
 Text and Parquet are read piece by piece. Containers (HDF5, MATLAB, TDMS, XLSX) cannot unpack to
 more than 2 GiB and are read whole. Results, events and errors do not depend on the size of the pieces.
 """
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import FileChunk, ParquetStream, RecordStream, refusal
+from piga.formats.columns import TEXT_SUFFIXES, FileChunk, RecordStream, columns_stream, file_kind, refusal
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
@@ -27,9 +29,6 @@ from piga.records.run_file import DataTable
 from piga.results import Array
 from piga.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular
 from piga.units import conversion_factor, parse_unit, to_si
-
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
-"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
 
 
 def open_stream(folder: Path, data: DataTable) -> RecordStream:
@@ -60,42 +59,6 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
         remedy = "give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not"
         raise refusal(path, "[data] time: stamp is for text files", remedy)
     return columns_stream(path, *columns, data.sheet, data.missing)
-
-
-def columns_stream(
-    path: Path,
-    numeric: tuple[str, ...],
-    segment: str | None = None,
-    sheet: str | None = None,
-    missing: tuple[str, ...] = (),
-    **text: Any,
-) -> RecordStream:
-    """Open the number columns ``numeric`` and the segment column of a data file.
-
-    ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
-    :class:`piga.formats.text.reader.TextStream`.
-    """
-    kind = file_kind(path)
-    if kind in TEXT_SUFFIXES:
-        from piga.formats.text.reader import TextStream
-
-        return TextStream(path, numeric, segment, missing=missing, **text)
-    if kind in (".parquet", ".pq"):
-        return ParquetStream(path, numeric, segment)
-    from piga.formats.container import CONTAINERS
-
-    if kind in CONTAINERS:
-        return CONTAINERS[kind](path, numeric, segment, sheet, missing)
-    remedy = f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}"
-    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
-        remedy = "open it in the spreadsheet program and save it as .xlsx or .csv"
-    raise DataError(f"{path}: piga does not read files of kind '{kind}'", remedy=remedy)
-
-
-def file_kind(path: Path) -> str:
-    """The ending that identifies the format of a file; ``.gz`` is skipped."""
-    suffixes = ["", *(suffix.lower() for suffix in path.suffixes)]
-    return suffixes[-2] if suffixes[-1] == ".gz" and len(suffixes) > 2 else suffixes[-1]
 
 
 @dataclass
@@ -269,3 +232,88 @@ def file_digest(path: Path) -> str:
     """SHA-256 of a file, as hexadecimal digits."""
     with open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+# -- positions told by the column of a stand ---------------------------------------------------------------
+
+_BLOCKS = 4000
+"""Blocks into which a column is divided, at most; an edge of a position is known to one block."""
+_NOISE = 6.0
+"""A block farther than this many standard deviations of a block mean from its position is outside."""
+_SAME = 1e-4
+"""Share of the range of the column within which it stands still, whatever its noise."""
+_SHORT = 0.05
+"""Positions shorter than this share of the longest one are parts of a move."""
+_LEAST_STILL = 0.2
+"""Least share of the rows in positions; below it the stand is taken to move all the time."""
+_LEAST_ROWS = 16
+"""Fewest rows of a position."""
+_QUARTILE = 0.3186 * 6.0**0.5
+"""Lower quartile of the second difference of three values of a normal distribution, in its standard deviations."""
+
+
+def positions(x: Array) -> list[tuple[int, int]]:
+    """First row and row after the last of each position of a column (n,). Rows without a number belong to none.
+
+    The column is averaged over short blocks of rows. A position is a run of blocks whose mean stays within a tolerance of the
+    mean of the position so far: the noise of the column, or 1e-4 of its range. So a jump and a move end a position. A run that
+    drifts through its tolerance is a ramp. Runs much shorter than the longest one belong to moves.
+    The list is empty if the column nowhere stands still.
+    """
+    rows = np.flatnonzero(np.isfinite(x))
+    if rows.size < 2 * _LEAST_ROWS:
+        return []
+    width = max(rows.size // _BLOCKS, 1)
+    count = rows.size // width
+    means = x[rows[: count * width]].reshape(count, width).mean(axis=1)
+    tolerance = _tolerance(means, x[rows])
+    still, start, total = [], 0, float(means[0])
+    for k in range(1, count + 1):
+        if k == count or abs(means[k] - total / (k - start)) > tolerance:
+            third = max((k - start) // 3, 1)
+            drift = abs(float(means[k - third : k].mean() - means[start : start + third].mean()))
+            if (k - start) * width >= _LEAST_ROWS and drift <= 0.5 * tolerance:
+                still.append((start, k))
+            start, total = k, 0.0
+        total += float(means[min(k, count - 1)])
+    longest = max((b - a for a, b in still), default=0)
+    kept = [_trimmed(means, a, b) for a, b in still if b - a >= _SHORT * longest]
+    if sum(b - a for a, b in kept) < _LEAST_STILL * count:
+        return []
+    return [(int(rows[a * width]), int(rows[b * width - 1]) + 1) for a, b in kept if b > a]
+
+
+def _trimmed(means: Array, start: int, stop: int) -> tuple[int, int]:
+    """A run without the blocks at its ends that belong to a move, by the scatter of the run itself."""
+    run = means[start:stop]
+    middle = float(np.median(run))
+    limit = _NOISE * 1.4826 * float(np.median(np.abs(run - middle))) + 1e-12 * abs(middle)
+    inside = np.flatnonzero(np.abs(run - middle) <= limit)
+    first, last = start + int(inside[0]), start + int(inside[-1]) + 1
+    return first + (first > 0), last - (last < means.size)
+
+
+def _tolerance(means: Array, x: Array) -> float:
+    """Largest distance of the mean of a block from that of its position."""
+    steps = np.abs(np.diff(x))
+    resolution = float(np.min(steps, where=steps > 0.0, initial=np.inf))
+    noise = float(np.quantile(np.abs(np.diff(means, 2)), 0.25)) / _QUARTILE  # a straight move has none
+    quantum = 1.5 * resolution if noise > 0.0 and np.isfinite(resolution) else 0.0
+    return max(_NOISE * noise, _SAME * float(np.ptp(means)), min(quantum, 0.01 * float(np.ptp(means))))
+
+
+def find_positions(raw: RawColumns, name: str) -> None:
+    """Segments of a record without a column that numbers them: where the stand, whose column is ``name``, stands still."""
+    spans = positions(raw.numbers[name])
+    if not spans:
+        words = f"column '{name}' nowhere stands still, so it tells no position"
+        remedy = (
+            "name the column that logs the angle or the speed of the stand, or one that numbers the positions"
+        )
+        raise raw.refusal(words, remedy, name)
+    raw.segment = np.full(raw.count, -1, np.int32)
+    for k, (start, stop) in enumerate(spans):
+        raw.segment[start:stop] = k
+    raw.labels = tuple(str(k + 1) for k in range(len(spans)))
+    detail = f"'{name}' does not stand still: rows between the {len(spans)} positions are not used"
+    raw.leave_out("moving", raw.segment < 0, detail)

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError, Where
-from piga.formats.columns import refusal
+from piga.formats.columns import columns_stream, refusal
 from piga.frames import rotation_vector_to_matrix
-from piga.reading.columns import columns_stream
 from piga.records.run_file import Columns, ColumnTable
 from piga.results import Array, Result
 from piga.units import conversion_factor, to_si

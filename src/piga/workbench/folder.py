@@ -20,9 +20,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from piga.errors import ArgumentError, PigaError
+from piga.formats.columns import TEXT_SUFFIXES, file_kind
 from piga.formats.container import CONTAINERS
 from piga.output import write_whole
-from piga.reading.columns import TEXT_SUFFIXES, file_kind
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import calibration_from_bytes
 from piga.records.run_file import read_run_file
