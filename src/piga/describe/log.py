@@ -23,7 +23,8 @@ from piga.describe.columns import (
     without_fills,
 )
 from piga.errors import DataError, PigaError
-from piga.formats.columns import TEXT_SUFFIXES, RecordStream, columns_stream, file_kind
+from piga.formats.columns import RecordStream
+from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.formats.text.convention import (
     COMMENT,
     GUESSED,
@@ -97,7 +98,7 @@ def describe_log(path: str | Path, told: Mapping[str, str] | None = None) -> Log
     Parameters
     ----------
     path:
-        The log, in any format that :func:`piga.formats.columns.columns_stream` reads.
+        The log, in any format that :func:`piga.formats.container.columns_stream` reads.
     told:
         What some columns hold, by name: ``{"CH3": "angle [deg]"}``. The others are guessed.
     """

@@ -35,8 +35,6 @@ GROUP_ROWS = 1 << 20
 """Rows of a row group of Parquet that is written."""
 REMEDIES = ("correct the column name in [data]", "store it as double or integer")
 """Remedies for a column that is not there, and for one that holds no numbers."""
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
-"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 
@@ -240,42 +238,6 @@ def refusal(
     """The error of a file, of a row in it, or of columns. ``fixes`` are keys of the run file that resolve it."""
     place = "" if row is None else f"row {row}: "
     return DataError(f"{path}: {place}{words}", remedy=remedy, where=Where(path, row, columns), fixes=fixes)
-
-
-def columns_stream(
-    path: Path,
-    numeric: tuple[str, ...],
-    segment: str | None = None,
-    sheet: str | None = None,
-    missing: tuple[str, ...] = (),
-    **text: Any,
-) -> RecordStream:
-    """Open the number columns ``numeric`` and the segment column of a data file.
-
-    ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
-    :class:`piga.formats.text.reader.TextStream`.
-    """
-    kind = file_kind(path)
-    if kind in TEXT_SUFFIXES:
-        from piga.formats.text.reader import TextStream
-
-        return TextStream(path, numeric, segment, missing=missing, **text)
-    if kind in (".parquet", ".pq"):
-        return ParquetStream(path, numeric, segment)
-    from piga.formats.container import CONTAINERS
-
-    if kind in CONTAINERS:
-        return CONTAINERS[kind](path, numeric, segment, sheet, missing)
-    remedy = f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}"
-    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
-        remedy = "open it in the spreadsheet program and save it as .xlsx or .csv"
-    raise DataError(f"{path}: piga does not read files of kind '{kind}'", remedy=remedy)
-
-
-def file_kind(path: Path) -> str:
-    """The ending that identifies the format of a file; ``.gz`` is skipped."""
-    suffixes = ["", *(suffix.lower() for suffix in path.suffixes)]
-    return suffixes[-2] if suffixes[-1] == ".gz" and len(suffixes) > 2 else suffixes[-1]
 
 
 # -- Parquet -------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Read HDF5, MATLAB, TDMS and XLSX files whole: one table of the wanted columns. Their size is limited.
+"""Open a data file of any format. HDF5, MATLAB, TDMS and XLSX are read whole: a table of the wanted columns, of limited size.
 
 HDF5 data, including MATLAB v7.3, are read only from the file itself and with built-in filters. No plug-in is ever loaded.
 """
@@ -22,6 +22,7 @@ from piga.errors import EXTRAS, DataError, Fix, PigaError, install_command
 from piga.formats.columns import (
     MOST_LISTED,
     REMEDIES,
+    ParquetStream,
     RecordStream,
     TableStream,
     column_letter,
@@ -39,7 +40,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.reader import Fault, Faults, missing_hint
+from piga.formats.text.reader import Fault, Faults, TextStream, missing_hint
 from piga.results import Column, arrow_table
 from piga.text_files import check_unpacked, first_line, open_regular
 
@@ -549,3 +550,37 @@ CONTAINERS: dict[str, type[Container]] = {
     ".h5": Hdf5, ".hdf5": Hdf5, ".hdf": Hdf5, ".mat": Mat, ".tdms": Tdms, ".xlsx": Xlsx,
 }  # fmt: skip
 """Readers of containers by the ending of the file name."""
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
+"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
+
+
+def columns_stream(
+    path: Path,
+    numeric: tuple[str, ...],
+    segment: str | None = None,
+    sheet: str | None = None,
+    missing: tuple[str, ...] = (),
+    **text: Any,
+) -> RecordStream:
+    """Open the number columns ``numeric`` and the segment column of a data file.
+
+    ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
+    :class:`piga.formats.text.reader.TextStream`.
+    """
+    kind = file_kind(path)
+    if kind in TEXT_SUFFIXES:
+        return TextStream(path, numeric, segment, missing=missing, **text)
+    if kind in (".parquet", ".pq"):
+        return ParquetStream(path, numeric, segment)
+    if kind in CONTAINERS:
+        return CONTAINERS[kind](path, numeric, segment, sheet, missing)
+    remedy = f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}"
+    if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
+        remedy = "open it in the spreadsheet program and save it as .xlsx or .csv"
+    raise DataError(f"{path}: piga does not read files of kind '{kind}'", remedy=remedy)
+
+
+def file_kind(path: Path) -> str:
+    """The ending that identifies the format of a file; ``.gz`` is skipped."""
+    suffixes = ["", *(suffix.lower() for suffix in path.suffixes)]
+    return suffixes[-2] if suffixes[-1] == ".gz" and len(suffixes) > 2 else suffixes[-1]

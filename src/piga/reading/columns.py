@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import DataError, Fix, Where
-from piga.formats.columns import TEXT_SUFFIXES, FileChunk, RecordStream, columns_stream, file_kind, refusal
+from piga.formats.columns import FileChunk, RecordStream, refusal
+from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, DataError, Where
-from piga.formats.columns import columns_stream, refusal
+from piga.formats.columns import refusal
+from piga.formats.container import columns_stream
 from piga.frames import rotation_vector_to_matrix
 from piga.records.run_file import Columns, ColumnTable
 from piga.results import Array, Result

@@ -20,8 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from piga.errors import ArgumentError, PigaError
-from piga.formats.columns import TEXT_SUFFIXES, file_kind
-from piga.formats.container import CONTAINERS
+from piga.formats.container import CONTAINERS, TEXT_SUFFIXES, file_kind
 from piga.output import write_whole
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.document import calibration_from_bytes
