@@ -7,7 +7,6 @@ from importlib import import_module
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
 import pyarrow.parquet
 
 from piga.cli.main import main
@@ -17,35 +16,27 @@ TIME, ANGLE = 'time = { column = "t", unit = "s" }', 'kind = "angle", unit = "ra
 REFERENCE = 'reference = { columns = ["fx", "fy", "fz"], unit = "m/s^2" }'
 
 
-def run_text(file: str, *lines: str, time: str = TIME, output: str = ANGLE, instrument: str = "") -> str:
-    """A run file; ``lines`` are those of its data beside time and output, and what follows."""
-    head = ["[instrument]", 'serial = "A"', 'scale_factor = "0.8884 rad/s/g"', instrument]
-    data = ["[data]", f'file = "{file}"', time, f'output = {{ column = "psi", {output} }}']
-    return "\n".join([*head, *data, *lines, ""])
+def run_text(file: str, output: str = ANGLE) -> str:
+    head = ["[instrument]", 'serial = "A"', 'scale_factor = "0.8884 rad/s/g"']
+    data = ["[data]", f'file = "{file}"', TIME, f'output = {{ column = "psi", {output} }}']
+    return "\n".join([*head, *data, REFERENCE, ""])
 
 
 KERNEL = import_module("piga.compensation.compensator")
 CAL = {"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3, "k0": 1e-3}
 
 
-def write(folder, name="run.parquet", rows=500, serial="A", counts=False, phi=0.3, axes=None):
+def write(folder, name="run.parquet", rows=500, serial="A", phi=0.3, axes=None):
     t = np.arange(rows) * 0.01
     f = constant_force(t, 1.0, 3.0, 1.0)
     f = f if axes is None else f @ np.array(axes).T
     run = run_of(t, f, phi=phi, errors={"k0": 1e-3})
-    output = np.rint(run.output / (2 * np.pi) * 72000).astype(np.int64) % 2**16 if counts else run.output
     table = pa.table(
-        {"t": t, "psi": output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2], "part": (t > 2.0).astype(int)}
+        {"t": t, "psi": run.output, "fx": f[:, 0], "fy": f[:, 1], "fz": f[:, 2], "part": (t > 2.0).astype(int)}
     )
-    if name.endswith("csv"):
-        pa.csv.write_csv(table, folder / name)
-    else:
-        pa.parquet.write_table(table, folder / name)
-    counter = ('kind = "counts"', "counts_per_revolution = 72000\ncounter_bits = 16")
-    output, instrument = counter if counts else (ANGLE, "")
-    text = run_text(name, REFERENCE, output=output, instrument=instrument)
+    pa.parquet.write_table(table, folder / name)
     path = folder / (name.split(".")[0] + ".toml")
-    path.write_text(text)
+    path.write_text(run_text(name))
     calibration_of({**CAL, "phi": phi}, {"phi": 1e-4}, serial=serial, angle_rms=1e-6).to_json(
         folder / (name.split(".")[0] + ".json")
     )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import piga
 from piga.units import G0
 from tests.compensation import run_files
-from tests.compensation.run_files import REFERENCE, run_text, write
+from tests.compensation.run_files import run_text, write
 from tests.compensation.twin_data import (
     K_G,
     TAN_BETA,
@@ -105,7 +105,7 @@ def test_a_gap_loses_the_phase_of_a_range_that_is_no_whole_turn(tmp_path, turn, 
     table["psi"] = np.mod(np.array(table["psi"]) + 1.0, turn)
     pa.parquet.write_table(pa.table(table), data)
     folded = f'kind = "angle", unit = "rad", wraps_at = "{turn!r} rad"'
-    path.write_text(run_text(data.name, REFERENCE, output=folded))
+    path.write_text(run_text(data.name, folded))
     run, cal = piga.read_run(path), calibration_of(run_files.CAL, serial="A")
     if kept:
         assert np.count_nonzero(piga.compensate(run, cal).flagged("no_increment")) == 2

@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 
 from piga.units import G0
-from tests.compensation.run_files import CAL, REFERENCE, run_text
+from tests.compensation.run_files import CAL, run_text
 from tests.compensation.twin_data import calibration_of
 from tests.memory import LIMIT, largest_memory
 
@@ -23,7 +23,7 @@ def memory(folder: Path, rows: int) -> int:
     psi = 0.8884e-3 / G0 * np.cumsum(f[0])
     columns = {"t": t, "psi": psi + 1e-4 * np.sin(psi), "fx": f[0], "fy": f[1], "fz": f[2]}
     pa.parquet.write_table(pa.table(columns), folder / "run.parquet")
-    (folder / "run.toml").write_text(run_text("run.parquet", REFERENCE))
+    (folder / "run.toml").write_text(run_text("run.parquet"))
     calibration_of(CAL, {"phi": 1e-4, "k0": 1e-6}, serial="A", angle_rms=1e-6).to_json(folder / "cal.json")
     words = ["run.toml", "--calibration", "cal.json", "--out", "out.parquet", "--report", "page.html"]
     paths = [word if word.startswith("--") else str(folder / word) for word in words]

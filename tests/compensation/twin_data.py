@@ -31,7 +31,6 @@ def calibration_of(
     serial: str = "",
     phase_source: str = "output",
     created: str = "2026-01-01T00:00:00Z",
-    diagnostics: Diagnostics | None = None,
 ) -> Calibration:
     """A calibration with these coefficients (file units; ``phi[label]`` for a segment) and uncertainties."""
     std = std or {}
@@ -56,7 +55,7 @@ def calibration_of(
         condition=1.0,
         notes=(),
         budget=(),
-        diagnostics=diagnostics or Diagnostics(),
+        diagnostics=Diagnostics(),
         segments=(),
         provenance=Provenance({}, "piga test", created),
     )
@@ -65,11 +64,6 @@ def calibration_of(
 def _coefficient(key: str, value: float, std: float) -> Coefficient:
     name, _, rest = key.partition("[")
     return Coefficient(name, value, std, unit_of(name), rest.rstrip("]") or None)
-
-
-def instrument(phi: float = 0.0, K: float = K_G, tan_beta: float = TAN_BETA) -> piga.Instrument:
-    """The published instrument with the phase as start angle: psi then starts at 0."""
-    return piga.Instrument(scale_factor=K / G0, beta=float(np.arctan(tan_beta)), alpha0=phi)
 
 
 def run_of(
@@ -82,14 +76,16 @@ def run_of(
     errors: dict[str, float] | None = None,
     temperature: Array | None = None,
     serial: str = "",
-    **shape: float,
 ) -> Run:
-    """Record of the exact motion for force samples ``f`` [m/s^2]; ``errors`` in file units."""
+    """Record of the exact motion for force samples ``f`` [m/s^2]; ``errors`` in file units.
+
+    The published instrument with the phase as start angle: psi then starts at 0.
+    """
     model = None
     if errors:
         model = ErrorModel(**{name: value * si_factor(name) for name, value in errors.items()})
     alpha, rate = piga.propagate(
-        instrument(phi, **shape),
+        piga.Instrument(K_G / G0, float(np.arctan(TAN_BETA)), phi),
         t,
         f,
         base_rate,

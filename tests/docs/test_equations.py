@@ -166,7 +166,7 @@ def test_inverse_published() -> None:
 
 
 def test_inverse_uncertainty() -> None:
-    r, q, h, u_k0 = 2e-6, 1e-6, 0.01, 3e-6
+    r, q, h, u_k0 = 2e-6, 3e-5, 0.01, 3e-6
     calibration = calibration_of(
         {"scale_factor": K_G, "k0": 0.0}, {"k0": u_k0}, angle_rms=r, angle_random_walk=q
     )

@@ -5,7 +5,7 @@ Rigid rotor, float and outer gimbal with integrating servo, ``w = alpha'``, ``v 
     J_x (w' + Omega_x') + H cos(beta) (v + Omega_Y1) = ml cos(beta) (a_Y cos(alpha) + a_Z sin(alpha)) + M
     J_y (v' + Omega_Y1') + c v + k_r beta - H (cos(beta) (w + Omega_x) - sin(beta) Omega_Z1)
         = -ml (a_x cos(beta) + sin(beta) (a_Y sin(alpha) - a_Z cos(alpha)))
-    M = -(k_p e + k_i z + k_d v) - M_c tanh(w/1e-3),    z' = e = beta - beta_null
+    M = -(k_p e + k_i z + k_d v),    z' = e = beta - beta_null
 
 ``Omega_Y1 = Omega_Y cos(alpha) + Omega_Z sin(alpha)``, ``Omega_Z1 = -Omega_Y sin(alpha) + Omega_Z cos(alpha)``.
 The outside authority of the servo's tests: quantities are SI, g is 9.80665 m/s^2.
@@ -36,7 +36,6 @@ class Design:
     k_p: float = 30.0
     k_i: float = 3000.0
     k_d: float = 0.0
-    friction: float = 0.0
     beta: float = 0.0
     errors: dict[str, float] = field(default_factory=dict)
     """Bias ``k0`` [m/s^2] and ``k2`` [1/(m/s^2)] felt on top of a_x."""
@@ -60,7 +59,7 @@ def motion(p, f, omega, alpha, t, rtol=1e-10, atol=1e-12):
     """
     (a_x, a_Y, a_Z), (o_x, o_Y, o_Z) = (tuple(map(float, v)) for v in (f, omega))
     a_x = float(p.felt(a_x))
-    sin, cos, tanh = math.sin, math.cos, math.tanh
+    sin, cos = math.sin, math.cos
 
     def rhs(_, x):
         alpha, beta, w, v, z = x.tolist()
@@ -68,8 +67,6 @@ def motion(p, f, omega, alpha, t, rtol=1e-10, atol=1e-12):
         q, r = o_Y * ca + o_Z * sa, o_Z * ca - o_Y * sa
         e = beta - p.beta
         motor = -(p.k_p * e + p.k_i * z + p.k_d * v)
-        if p.friction:
-            motor -= p.friction * tanh(w / 1e-3)
         w_dot = (p.ml * cb * (a_Y * ca + a_Z * sa) + motor - p.H * cb * (v + q)) / p.J_x
         along = a_x * cb + sb * (a_Y * sa - a_Z * ca)
         v_dot = (p.H * (cb * (w + o_x) - sb * r) - p.ml * along - p.c * v - p.k_r * beta) / p.J_y - w * r

@@ -79,6 +79,7 @@ def test_rate_that_decays_keeps_its_digits():
     decay = PUBLISHED.scale_factor * math.sqrt((b - a_x) * (b + a_x))
     assert rate[0] < 1e-15
     assert rate[1] / rate[0] == pytest.approx(math.exp(-100 * decay), rel=1e-10)
+    assert locking_time(PUBLISHED, a_x, 5 * G0, 0.0) == pytest.approx(1.0 / decay, rel=1e-12)
 
 
 def test_shape_follows_time_and_scalars_stay_scalars():
@@ -131,13 +132,6 @@ def test_fixed_points_are_at_rest_and_rightly_stable(beta):
             assert (abs(alpha[1] - angle) < abs(alpha[0] - angle)) == (kind == "stable")
 
 
-def test_locking_time_is_the_decay_of_the_motion():
-    a_x = 0.01 * G0
-    _, rate = closed_form(PUBLISHED, [1500.0, 1600.0], a_x, 5 * G0, 0.0)
-    tau = locking_time(PUBLISHED, a_x, 5 * G0, 0.0)
-    assert 100.0 / math.log(rate[0] / rate[1]) == pytest.approx(tau, rel=1e-6)
-
-
 def test_borders():
     b = 5 * G0 * PUBLISHED.tan_beta
     low, high = dead_zone(PUBLISHED, 5 * G0, 0.0)
@@ -145,7 +139,7 @@ def test_borders():
     assert regime(PUBLISHED, float(high) * 0.999, 5 * G0, 0.0) == "locked"
     assert mean_rate(PUBLISHED, b * 0.99, 5 * G0, 0.0) == 0.0
     assert revolution_period(PUBLISHED, 0.0, 5 * G0, 0.0) == math.inf
-    assert locking_time(PUBLISHED, 2 * b, 5 * G0, 0.0) != locking_time(PUBLISHED, 2 * b, 5 * G0, 0.0)
+    assert np.isnan(locking_time(PUBLISHED, 2 * b, 5 * G0, 0.0))
     assert np.isnan(fixed_points(PUBLISHED, 2 * b, 5 * G0, 0.0)).all()
     assert np.isnan(fixed_points(Instrument(0.09), 0.0, 5 * G0, 0.0)).all()
     assert separatrix_distance(PUBLISHED, [-2 * b, 0.5 * b], 5 * G0, 0.0) == pytest.approx(

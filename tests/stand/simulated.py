@@ -1,7 +1,10 @@
 """An instrument, a stand and a scenario that the tests of simulated runs share."""
 
+import math
+
 import numpy as np
 
+from piga.earth import Site
 from piga.instrument import Instrument
 from piga.instrument.twin.electronics import Electronics
 from piga.stand import (
@@ -10,8 +13,8 @@ from piga.stand import (
 )
 from piga.stand.write_run import coefficients, run_file_text, write_data
 from tests.instrument.twin.predicted import predicted_rate_error
-from tests.stand.stands import SITE
 
+SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0, 2.0, 4.0), dwell=20.0, move=5.0)
 INST = Instrument("0.8884 rad/s/g", "74 arcsec", 0.8)
 COUNTS = Electronics(sample_rate=10.0, zero=0.5)

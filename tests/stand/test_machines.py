@@ -28,8 +28,16 @@ from piga.stand import (
 )
 from piga.stand.machines import angles_of_range, rates_for_levels
 from piga.stand.profile import NONE, read_profile
+from piga.stand.scenario import head_positions
 from piga.units import ARCSEC, G0
-from tests.stand.stands import HEAD, SITE, SPIN, derivative
+from tests.stand.simulated import SITE
+
+HEAD = DividingHead(SITE, head_positions("0:360:15 deg"))
+SPIN = SpinPlan((1.0, 4.0, 2.0), 2.0, 1.0)
+
+
+def derivative(function, t, h=1e-4):
+    return (function(t + h) - function(t - h)) / (2 * h)
 
 
 @pytest.mark.parametrize(
@@ -340,11 +348,7 @@ def test_table_says_what_the_lab_assumes_and_what_is_felt():
         (lambda: angles_of_range("0:10:-1 deg", "positions", "0:360:15 deg"), "range is empty"),
         (lambda: DividingHead(SITE, ()), "none given"),
         (lambda: DividingHead(SITE, (0.0,), dwell=-1.0), "must be positive"),
-        (lambda: DividingHead(SITE, (0.0,), move=0.0), "must be positive"),
-        (lambda: DividingHead(SITE, (0.0,), settling_time=0.0), "must be positive"),
-        (lambda: SpinPlan((), 1.0, 1.0), "none given"),
         (lambda: SpinPlan((1.0,), 0.0, 1.0), "must be positive"),
-        (lambda: SpinPlan((1.0,), 1.0, 0.0), "must be positive"),
         (lambda: Centrifuge(SITE, 0.0, SPIN), "radius"),
         (lambda: Composite(()), "no parts"),
         (lambda: Composite((HEAD,), pause=0.0), "pause"),
@@ -354,7 +358,6 @@ def test_table_says_what_the_lab_assumes_and_what_is_felt():
         ),
         (lambda: Drive("sine", 0.5, 1.0), "does not fit twice"),
         (lambda: Drive("random", 5.0, 2.0, 1.0), "above"),
-        (lambda: Drive("sine", -5.0), "positive"),
         (lambda: VibrationTable(SITE, ()), "none given"),
     ],
 )
