@@ -135,19 +135,6 @@ def test_figures_of_a_calibration(cal, name):
     assert figure._repr_png_().startswith(b"\x89PNG")
 
 
-def test_the_plot_draws_what_the_page_draws(cal):
-    """The same numbers, in the units of the page."""
-    from piga.reports.calibration.figures import segment_figure
-
-    drawn = cal.plot.segments().axes[0]
-    panel = segment_figure(cal).panels[0]
-    assert drawn.get_xlabel() == panel.x.label
-    assert drawn.get_yscale() == "log"
-    for line, series in zip(drawn.lines[:2], panel.series, strict=True):
-        assert np.array_equal(line.get_ydata(), series.y)
-        assert np.array_equal(line.get_xdata(), series.x)
-
-
 def test_a_figure_is_drawn_on_given_axes(cal, run):
     canvas = matplotlib.figure.Figure()
     axes = canvas.subplots(2)

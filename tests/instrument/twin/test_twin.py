@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from piga._kernels.motion import servo
 from piga.errors import ArgumentError, PigaError
-from piga.instrument import ErrorModel, Instrument, propagate
+from piga.instrument import Instrument, propagate
 from piga.instrument.twin.linear import (
     predicted_k2,
     predicted_rectification,
@@ -23,7 +23,6 @@ from piga.instrument.twin.parameters import PRESETS, TwinParameters, twin_parame
 from piga.instrument.twin.run import run_twin
 from piga.units import G0
 from tests.instrument.rigid_body import RICH, accelerations, solve
-from tests.instrument.twin.predicted import predicted_rate_error
 
 pytestmark = pytest.mark.interpreted
 
@@ -79,28 +78,6 @@ def test_equations_are_those_of_a_rigid_body(seed):
     assert out[2:4] == pytest.approx(expected, rel=1e-11, abs=1e-7)
     assert out[:2] == pytest.approx([state[2], state[3]])
     assert out[4] in (0.0, pytest.approx(state[1] - RICH.pick_off_null))
-
-
-@pytest.mark.long
-def test_steady_state_is_the_quasi_steady_equation_with_base_rate():
-    """A stiff servo and a turning base: the mean motion obeys equation (2) of the theory."""
-    p = replace(EXAMPLE, rate_gain=0.1, pick_off_null=2e-3, alpha0=0.3, float_inertia_z=3e-5)
-    p = replace(p, product_of_inertia=2e-5).stiffened(3.0)
-    t, f, omega = constant((G0, 0.5 * G0, -0.2 * G0), 2.0, omega=(0.01, 0.4, -0.2))
-    motion = run_twin(p, t, f, omega)
-    alpha = propagate(
-        Instrument(p.K, p.pick_off_null, 0.3),
-        t,
-        f,
-        omega,
-        error_model=ErrorModel(k2=predicted_k2(p)),
-        between="linear",
-    )
-    predicted = predicted_rate_error(p, t, motion.alpha, f, omega)
-    shift = np.concatenate([[0.0], np.cumsum(0.5 * (predicted[1:] + predicted[:-1]) * np.diff(t))])
-    difference = motion.alpha - alpha
-    assert np.max(np.abs(difference)) > 2e-6
-    assert np.max(np.abs(difference - shift)) < 0.02 * np.max(np.abs(difference))
 
 
 # -- integration ----------------------------------------------------------------------------------
