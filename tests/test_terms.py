@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from piga._kernels.compensation.data import INSTRUMENT
-from piga.calibration.summary import STATIC_TERMS
+from piga.calibration.joint import STATIC_TERMS
 from piga.instrument import ErrorModel
 from piga.records.terms import SERVO_TERMS
 from piga.terms import ERROR_TERMS, LOGGED_TERMS, PRODUCTS, THERMAL_TERMS

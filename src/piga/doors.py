@@ -17,6 +17,13 @@ def shown_calibration() -> ModuleType:
     return page
 
 
+def reduced_runs() -> ModuleType:
+    """Reduces a run to its summary."""
+    from piga.calibration import joint
+
+    return joint
+
+
 def shown_record() -> ModuleType:
     """Shows a record before its calibration."""
     from piga.reports import check

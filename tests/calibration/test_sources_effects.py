@@ -11,10 +11,10 @@ import piga
 from piga.calibration import RunSummary
 from piga.calibration.fit import Fit
 from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_all_sources
-from piga.calibration.merged import MergedRuns, RunTriangles
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.request import make_request
 from piga.calibration.sources import sources, with_units
+from piga.calibration.summary import MergedRuns
 from piga.calibration.weights import reduce_positions
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
@@ -37,12 +37,12 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     """
     whole = fit_of(run, terms, phases)
     assert whole.only is not None
-    fit, named = whole.only.fit, whole.named(whole.estimate, whole.estimate.covariance)[0]
+    fit, named = whole.only, whole.named(whole.estimate, whole.estimate.covariance)[0]
 
     def estimate(moved: Run) -> np.ndarray:
         design = fit.design.with_servo(None).of(moved)
-        triangles = RunTriangles.of_rows("", design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
-        runs = MergedRuns.of(fit.runs.wish, [triangles])
+        triangles = RunSummary.of_rows(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
+        runs = MergedRuns.of([triangles], fit.runs.terms)
         found = runs.solved()[2]
         return np.array([c.value for c in runs.named(found, found.covariance)[0]])
 

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import accumulate
+from typing import Any, Literal
 
+import numpy as np
+
+from piga._version import __version__
+from piga.calibration.advice import advise, looks_wrong, with_advice
 from piga.calibration.joint import (
     JointFit,
     check_items,
@@ -13,22 +20,51 @@ from piga.calibration.joint import (
     fit_alone,
     fit_jointly,
     given_servo_of,
+    now,
+    sources_of_stand,
     with_all_sources,
 )
+from piga.calibration.missing_terms import (
+    CUBIC,
+    Candidates,
+    LeftOut,
+    left_out_terms,
+    suggest_terms,
+    suggestions_in_words,
+)
+from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
 from piga.calibration.model.request import Request, make_request
-from piga.calibration.remarks.advice import advise, with_advice
-from piga.calibration.remarks.left_out import left_out_terms
-from piga.calibration.remarks.missing_terms import Candidates
-from piga.calibration.result import make_result
+from piga.calibration.model_choice import compare_models
+from piga.calibration.orders import residual_angles
+from piga.calibration.positions import find_creep, find_leverage
+from piga.calibration.residuals import (
+    diagnose,
+    find_residuals,
+    is_rounded,
+    residual_figures,
+    segment_scatter,
+    segment_table,
+)
 from piga.calibration.revolutions import whole_turns
+from piga.calibration.sources import gravity_in_words
 from piga.calibration.summary import RunSummary
-from piga.calibration.uncertainty import add_up, monte_carlo_intervals, with_given_servo
+from piga.calibration.uncertainty import Budget, add_up, monte_carlo_intervals, with_given_servo
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
-from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import BudgetTable
+from piga.records.calibration.calibration import Calibration, Provenance, RunRecord
+from piga.records.calibration.coefficient import BudgetTable, Coefficient
+from piga.records.calibration.diagnostics import (
+    Diagnostics,
+    Event,
+    MissingTerm,
+    Quality,
+    Residuals,
+    SegmentScatter,
+    SegmentSummary,
+    scale_over_nominal,
+)
 from piga.records.run import Run
-from piga.records.terms import term_names
+from piga.records.terms import GYRO, SERVO_TERMS, term_names
 from piga.threads import one_thread
 
 _STEPS = 5
@@ -139,6 +175,216 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     steps("checking the intervals")
     coefficients, monte_carlo = monte_carlo_intervals(fit, budget)
     steps("looking for missing terms")
-    result = make_result(fit, coefficients, budget.covariance, BudgetTable(budget.rows), doubts, candidates)
+    result = _result(fit, coefficients, budget, doubts)
+    result = _with_remarks(result, fit, candidates, doubts)
     result = replace(result, diagnostics=replace(result.diagnostics, monte_carlo=monte_carlo))
     return with_given_servo(result, *given_servo_of(fit))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What the result says of a run: its record and segments; with raw data its residuals under the estimate, too."""
+
+    record: RunRecord
+    segments: tuple[SegmentSummary, ...]
+    residuals: Residuals | None
+    scatter: SegmentScatter
+
+
+def _part_of(fit: JointFit, index: int, kind: str) -> _Part:
+    """The part of a run. Residual rates become angles if runs of both kinds are joined (``kind`` is that of all residuals)."""
+    summary, live = fit.summaries[index], fit.live[index]
+    segments, figures, residuals, scatter = summary.segments, summary.figures, None, SegmentScatter()
+    if live:
+        design, values = fit.design_of(index, live)
+        residuals = find_residuals(design, values, live.noise, live.mode)
+        scatter = segment_scatter(design, residuals, live.noise)
+        if summary.kind != kind:
+            residuals = residual_angles(residuals, "rate")
+        segments, figures = segment_table(design, residuals), residual_figures(residuals)
+    record = RunRecord(
+        name=summary.name,
+        source=summary.source,
+        stand=summary.stand,
+        phases=summary.phases,
+        raw=live is not None,
+        rows=live.design.rows if live else summary.count,
+        angle_rms=summary.noise.angle_rms,
+        angle_random_walk=summary.noise.angle_random_walk,
+        **figures,
+        quality=summary.quality,
+        undetermined=summary.undetermined,
+        input_sha256=summary.input_sha256,
+    )
+    return _Part(record, segments, residuals, scatter)
+
+
+def _result(
+    fit: JointFit, coefficients: tuple[Coefficient, ...], budget: Budget, doubts: tuple[LeftOut, ...]
+) -> Calibration:
+    """The calibration with its residuals and their tests, without the remarks that look for causes."""
+    only, first, kinds = fit.only, fit.summaries[0], {summary.kind for summary in fit.summaries}
+    kind = kinds.pop() if len(kinds) == 1 else "angle"
+    parts = [_part_of(fit, index, kind) for index in range(len(fit.summaries))]
+    records = [part.record for part in parts]
+    rows = [record.rows for record in records]
+
+    def mean_square(name: str) -> float:
+        return float(np.sqrt(np.average(np.square([getattr(r, name) for r in records]), weights=rows)))
+
+    runs = [live.run for live in fit.live if live]
+    scatter = max((part.scatter for part in parts), key=lambda one: one.worst)
+    angle: Literal["angle", "count"] = "count" if first.unit != GYRO else "angle"
+    tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges, **asdict(scatter))
+    innovations = [part.residuals.innovation for part in parts if part.residuals]
+    if innovations:
+        rounded = any(is_rounded(live.run, live.noise) for live in fit.live if live)
+        tests = diagnose(innovations, tests, rounded=rounded)
+    compared: Any = compare_models(only.run).document() if only and only.run.model.compare else None
+    named = [(f"{r.name}:" if not only else "", part.segments) for r, part in zip(records, parts, strict=True)]
+    return Calibration(
+        serial=first.serial,
+        scale_factor_nominal=first.scale_factor,
+        terms=fit.terms,
+        phases="per-segment" if any(s.phases == "per-segment" for s in fit.summaries) else "shared",
+        phase_source=only.request.phase_source if only else "output",
+        method=only.request.method if only else "information",
+        coefficients=coefficients,
+        covariance=budget.covariance,
+        surplus_observations=float(sum(rows) - len(coefficients)),
+        angle_rms=mean_square("angle_rms"),
+        angle_random_walk=mean_square("angle_random_walk"),
+        segment_scatter=only.noise.segment_scatter if only else 0.0,
+        residual_rms=mean_square("residual_rms"),
+        residual_rms_before=mean_square("residual_rms_before"),
+        residual_max_before=max(record.residual_max_before for record in records),
+        residual_max_after=max(record.residual_max_after for record in records),
+        quality=_joint_quality(records),
+        condition=fit.examination.condition,
+        notes=scatter_in_words(scatter, direct=first.unit != GYRO),
+        remarks=(
+            *(one_way_in_words(only.run, fit.terms) if only else ()),
+            *remarks_in_words(coefficients, budget.covariance),
+            *(() if only else _notes_on_runs(records)),
+        ),
+        sources=sources_of_stand(fit, [doubt.listed for doubt in doubts if doubt.listed]),
+        scale_factor_tolerance=max((run.model.tolerance for run in runs), default=0.01),
+        gravity="; ".join(dict.fromkeys(filter(None, map(gravity_in_words, runs)))),
+        budget=BudgetTable(budget.rows),
+        diagnostics=replace(tests, model_comparison=compared),
+        segments=tuple(replace(row, label=name + row.label) for name, own in named for row in own),
+        provenance=_provenance(fit),
+        temperature_reference=first.temperature_reference,
+        time_reference=first.time_reference,
+        residuals=parts[0].residuals if only else _joint_residuals(parts),
+        runs=() if only else tuple(records),
+        outliers=tuple(replace(o, run=s.name or None) for s in fit.summaries for o in s.outliers),
+        unit=first.unit,
+    )
+
+
+def _joint_residuals(parts: list[_Part]) -> Residuals | None:
+    """Residuals of all runs with raw data, one after the other."""
+    offsets = accumulate((len(part.segments) for part in parts), initial=0)
+    held = [(i, at, part.residuals) for i, (at, part) in enumerate(zip(offsets, parts, strict=False))]
+    pieces = [
+        replace(
+            own,
+            segment=own.segment + np.int32(at),
+            run=np.full(own.t.size, index, dtype=np.int32),
+        )
+        for index, at, own in held
+        if own
+    ]
+    if not pieces:
+        return None
+    names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment", "run")
+    columns = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in names}
+    return Residuals(**columns, unit=pieces[0].unit)
+
+
+def _joint_quality(records: list[RunRecord]) -> Quality:
+    if len(records) == 1 and not records[0].name:
+        return records[0].quality
+    events = tuple(
+        Event(event.kind, event.count, event.first_row, f"run {record.name}: {event.detail}".rstrip(": "))
+        for record in records
+        for event in record.quality.events
+    )
+    all_rows, used, masked = np.sum([[q.rows, q.used, q.masked] for q in (r.quality for r in records)], axis=0)
+    return Quality(int(all_rows), int(used), int(masked), events)
+
+
+def _notes_on_runs(records: list[RunRecord]) -> Iterator[str]:
+    """Terms that each run alone could not determine, and which runs are summaries."""
+    for record in records:
+        if record.undetermined:
+            listed = ", ".join(record.undetermined)
+            yield f"run '{record.name}' alone cannot separate {listed}: the other runs do"
+    for record in records:
+        if not record.raw:
+            yield f"run '{record.name}' is a summary: its residual figures are those of its own fit"
+
+
+def _provenance(fit: JointFit) -> Provenance:
+    """Hashes of the inputs of all runs. A file name that occurs twice is marked with its run."""
+    hashes: dict[str, str] = {}
+    for summary in fit.summaries:
+        for name, digest in summary.input_sha256.items():
+            hashes[name if hashes.get(name, digest) == digest else f"{summary.name}: {name}"] = digest
+    options: dict[str, Any] = {
+        "runs": [s.source or s.name for s in fit.summaries],
+        "per_run": list(fit.per_run),
+    }
+    if fit.only:
+        options = {"source": fit.only.run.source, "noise_given": fit.only.request.angle_rms is not None}
+    return Provenance(hashes, f"piga {__version__}", now(), options)
+
+
+def _with_remarks(
+    result: Calibration, fit: JointFit, candidates: Candidates, doubts: tuple[LeftOut, ...]
+) -> Calibration:
+    """The result with leverage, advice, missing terms and creep in its diagnostics, and their sentences.
+
+    A remark that can move a coefficient by more than u is a doubt (``notes``); the others are ``remarks``. Remarks change no
+    number. One cause gets one remark. Data that were read wrongly look as if terms were missing, and a missing term affects
+    single segments. Advice on the data therefore suppresses suggestions of terms, and both suppress remarks on segments that
+    move a coefficient.
+    """
+    coefficients, only = result.coefficients, fit.only
+    leverage, alone, moved = find_leverage(fit, candidates.fit, coefficients)
+    advice: tuple[str, ...] = ()
+    if only and looks_wrong(result):
+        advice = advise(only.run, only.request, scale_over_nominal(result))
+    missing = () if advice else suggest_terms(candidates, coefficients)
+    scattered = any(summary.noise.scatter > 0.0 for summary in fit.summaries)
+    suggested = _suggested(missing, doubts, coefficients, scattered=scattered)
+    said = [*((math.inf, words) for words in advice), *suggested] or [*moved]
+    creep, words_of_creep = find_creep(fit, coefficients)
+    if creep and words_of_creep and not advice:
+        said.insert(0, (creep.largest_shift, words_of_creep))
+    tests = replace(result.diagnostics, leverage=leverage, advice=advice, missing_terms=missing, creep=creep)
+    return replace(
+        result,
+        notes=(*(words for shift, words in said if shift > 1.0), *result.notes),
+        remarks=(*(words for shift, words in said if not shift > 1.0), *alone, *result.remarks),
+        diagnostics=tests,
+    )
+
+
+def _suggested(
+    missing: tuple[MissingTerm, ...],
+    doubts: tuple[LeftOut, ...],
+    coefficients: tuple[Coefficient, ...],
+    *,
+    scattered: bool,
+) -> tuple[tuple[float, str], ...]:
+    """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
+    also = "; the scatter of the segments may be the same effect" if scattered else ""
+    lacking = [(doubt.largest_shift(coefficients), doubt.words) for doubt in doubts if doubt.words]
+    if lacking:
+        missing = tuple(entry for entry in missing if not {*SERVO_TERMS, *CUBIC} & {*entry.terms})
+    words = suggestions_in_words(missing)
+    # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
+    shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
+    return (*lacking, *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)))

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piga.calibration.merged import MergedRuns, RunTriangles, Wish
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Estimate
@@ -23,6 +22,7 @@ from piga.calibration.outliers import (
     suspicious,
     without_rates,
 )
+from piga.calibration.summary import MergedRuns, RunSummary
 from piga.calibration.weights import (
     Noise,
     Positions,
@@ -48,7 +48,7 @@ _ROUNDS = 5
 class Fit:
     """A finished fit of one run.
 
-    ``design`` has the servo columns at the phases of the fit, ``runs`` holds the triangles of the positions without a phase.
+    ``design`` has the servo columns at the phases of the fit, ``runs`` the triangles of the positions without a phase.
     ``values`` (segments, m) are the column coefficients, ``d`` and ``h`` the residual increments and their intervals.
     ``outliers`` are the samples left out.
     """
@@ -61,13 +61,27 @@ class Fit:
     estimate: Estimate
     d: Array = field(repr=False)
     h: Array = field(repr=False)
-    noise: Noise
     outliers: tuple[Outlier, ...] = ()
 
     @property
-    def triangles(self) -> RunTriangles:
-        """The triangles ``[model | rate | y]`` of the positions."""
-        return self.runs.summaries[0]
+    def run(self) -> Run:
+        """The record as used."""
+        return self.design.run
+
+    @property
+    def request(self) -> Request:
+        """The request with the terms of the fit."""
+        return self.design.request
+
+    @property
+    def summary(self) -> RunSummary:
+        """The triangles ``[model | rate | y]`` of the positions, with what is needed to solve them."""
+        return replace(self.runs.summaries[0], outliers=self.outliers)
+
+    @property
+    def noise(self) -> Noise:
+        """The levels that weigh the rows."""
+        return self.runs.summaries[0].noise
 
 
 def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
@@ -121,13 +135,16 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
             f"the record has {raw.rows} increments, too few for {len(raw.names)} parameters",
             remedy="record longer, or leave terms out",
         )
-    positions, given = Positions.of(run), _given_noise(request)
+    positions, given = Positions.of(run), None
+    if request.angle_rms is not None and request.angle_random_walk is not None:
+        given = Noise(request.angle_rms**2, request.angle_random_walk**2)
     own = () if positions.continuous or not stated else stated
     noise = replace(given or starting_noise(run.resolution, run.median_step), stated=own)
     for refit in range(_REFITS):
-        triangles = RunTriangles.of_rows("", raw, _of_rows(noise), reduce_positions(raw, mode, noise))
-        fit = _solved(raw, mode, triangles)
-        refined = raw.with_scale_factor(_scale_factor(fit))
+        of_rows = replace(noise, scatter=0.0, stated=(), counted=())
+        summary = RunSummary.of_rows(raw, of_rows, reduce_positions(raw, mode, noise))
+        fit = _solved(raw, mode, summary)
+        refined = raw.with_scale_factor(fit.runs.scale_factor_of(fit.estimate))
         levels = given or find_noise(fit.design, fit.d, fit.h, fit.estimate.parameters, mode)
         step = run.median_step
         settled = refined is raw and levels.close_to(noise, step, raw.rows // len(run.labels))
@@ -137,23 +154,19 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
     if given is None and mode != "rates" and not positions.continuous:
         parts = [position.part for position in fit.runs.positions(0, fit.servo)]
         noise = find_scatter(parts, noise, raw.local_names if raw.has_phases else ())
+    weighted = summary.weighted(noise)
     if noise.rate_variances(positions.count).any():
-        fit = _solved(raw, mode, triangles.weighted(noise))
-    return replace(fit, noise=noise)
+        return _solved(raw, mode, weighted)
+    return replace(fit, runs=replace(fit.runs, summaries=(weighted,)))
 
 
-def _of_rows(noise: Noise) -> Noise:
-    """The levels of the rows within positions."""
-    return replace(noise, scatter=0.0, stated=(), counted=())
-
-
-def _solved(raw: Design, mode: str, triangles: RunTriangles) -> Fit:
+def _solved(raw: Design, mode: str, summary: RunSummary) -> Fit:
     """The fit with these weights; raises if the record cannot determine what is asked."""
-    runs = MergedRuns.of(Wish.of_one(raw.request.terms), [triangles])
+    runs = MergedRuns.of([summary], raw.request.terms)
     state, _, estimate = runs.solved()
     design, values = runs.design_at(raw, estimate, state)
     d, h = residual_increments(design, values)
-    return Fit(design, mode, runs, state, values, estimate, d, h, triangles.noise)
+    return Fit(design, mode, runs, state, values, estimate, d, h)
 
 
 def _scattered(fit: Fit) -> Array:
@@ -168,16 +181,3 @@ def _scattered(fit: Fit) -> Array:
     increments = np.repeat(rates, np.diff(positions.edges))
     increments *= np.maximum(fit.h, 0.0)
     return increments
-
-
-def _given_noise(request: Request) -> Noise | None:
-    if request.angle_rms is None or request.angle_random_walk is None:
-        return None
-    return Noise(request.angle_rms**2, request.angle_random_walk**2)
-
-
-def _scale_factor(fit: Fit) -> float:
-    keys = fit.runs.layout.amplitude_keys
-    if ("scale_factor", None) not in keys:
-        return fit.design.run.scale_factor
-    return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])

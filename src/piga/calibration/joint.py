@@ -1,64 +1,60 @@
-"""The fit of one run or of several runs of one instrument, from their summaries.
+"""The fit of one run or of several runs of one instrument, from their summaries: their reduction, request and sources.
 
-Coefficients belong to the instrument, except phases (each power-up has its own zero of the output angle) and
-the terms named in ``per_run``. Every run is weighted by its own noise levels. Summaries can be added. Therefore the raw
-data of a run are not needed: its summary is enough.
+Summaries can be added. Therefore the raw data of a run are not needed: its summary is enough.
 """
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from piga.calibration.fit import fit_run
-from piga.calibration.intervals import Interval
-from piga.calibration.merged import MergedRuns, SourceSummary, Wish, source_column
-from piga.calibration.model.design import Design, ServoState
+from piga._version import __version__
+from piga.calibration.fit import Fit, fit_run
+from piga.calibration.intervals import Interval, find_interval
+from piga.calibration.model.design import Design, ServoState, given_servo
 from piga.calibration.model.identifiability import Examination, refuse_useless
 from piga.calibration.model.request import Request, check_per_run, make_request
 from piga.calibration.model.solution import Estimate, asked_order
-from piga.calibration.sources import merged_sources, with_effects
-from piga.calibration.summary import (
-    LiveRun,
-    RunSummary,
-    own_summary,
-    prepare,
-    run_name,
-    summarise,
-    with_sources,
-)
-from piga.calibration.uncertainty import stated_scatter
-from piga.calibration.weights import RATE
-from piga.errors import ArgumentError, CalibrationError
+from piga.calibration.residuals import find_residuals, residual_figures, segment_table
+from piga.calibration.sources import Source, listed, sources
+from piga.calibration.summary import MergedRuns, RunSummary, SourceSummary, repetitions, source_column
+from piga.calibration.uncertainty import stated_scatter, units_of
+from piga.calibration.weights import RATE, Extra, reduce_positions, residual_increments
+from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import SILENT, Steps
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes
 from piga.records.run import Run
-from piga.records.terms import check_terms
+from piga.records.terms import SERVO_TERMS, check_terms, harmonic, turns
 from piga.results import Array
-from piga.terms import THERMAL_TERMS
+from piga.terms import LOGGED_TERMS, TERMS, THERMAL_TERMS
 
-_INNER_CHANGE = 1e-6
-"""Relative change of K above which the regressors of runs with base rotation are computed again."""
-
-
+STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *LOGGED_TERMS))
+"""Columns of a stored summary besides the requested harmonics; with temperature or vibration also their columns."""
 BIAS = "k0"
 """Term that each run has of its own unless asked otherwise."""
+_LAST_TO_GO = (BIAS, "tan_beta", "scale_factor")
+"""Terms that the fit for the noise levels leaves out last."""
+_INNER_CHANGE = 1e-6
+"""Relative change of K above which the regressors of runs with base rotation are computed again."""
 _SERVO_SOURCE = "servo "
 """Prefix of the names of sources that belong to the instrument."""
 _COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 _WARMED = {"k0_T": "k0", "k1_T": "scale_factor"}
 """Terms of temperature, and the column that each becomes by one kelvin more."""
+_WORST = ("waived", "stated", "bounded", "assumed", "unstated")
+"""Statuses of a source, the worst last."""
 
 
 @dataclass(frozen=True)
 class JointFit(MergedRuns):
     """The solution of merged runs: those with raw data, estimate with its interval, named coefficients, servo state."""
 
-    summaries: tuple[RunSummary, ...]
-    live: tuple[LiveRun | None, ...]
+    live: tuple[Fit | None, ...]
     estimate: Estimate
     interval: Interval
     coefficients: tuple[Coefficient, ...]
@@ -70,19 +66,23 @@ class JointFit(MergedRuns):
     def degrees(self) -> Array:
         """Degrees of freedom of Type A in the order of the coefficients."""
         phases = len(self.coefficients) - self.layout.size
-        return self.interval.degrees[asked_order(self.layout, self.wish.terms, phases)]
+        return self.interval.degrees[asked_order(self.layout, self.terms, phases)]
 
     @property
-    def only(self) -> LiveRun | None:
-        """The run, if there is one only, with raw data."""
+    def only(self) -> Fit | None:
+        """The fit of the run, if there is one only, with raw data."""
         return self.live[0] if len(self.live) == 1 else None
 
-    def design_of(self, index: int, live: LiveRun) -> tuple[Design, Array]:
+    @property
+    def by_input(self) -> bool:
+        """True if the phase of a run is predicted from the input."""
+        return any(live and live.request.phase_source != "output" for live in self.live)
+
+    def design_of(self, index: int, live: Fit) -> tuple[Design, Array]:
         """Columns of a run with raw data, and their coefficients in each of its segments."""
-        own, terms = live.fit.design, self.wish.terms_of(index)
-        scale_factor = self.summaries[index].inner_scale_factor
-        if own.request.terms != terms or own.scale_factor != scale_factor:
-            own = Design(live.run, replace(live.request, terms=terms), scale_factor)
+        own, summary = live.design, self.summaries[index]
+        if own.request.terms != summary.terms or own.scale_factor != summary.inner_scale_factor:
+            own = Design(live.run, replace(live.request, terms=summary.terms), summary.inner_scale_factor)
         return self.design_at(own, self.estimate, self.servo, index)
 
     def moved(self, change: Array) -> Array:
@@ -103,19 +103,45 @@ class JointFit(MergedRuns):
         """The fit with the weights of white noise, random walk and stated scatter only; tests of the model use it."""
         if not any(summary.noise.scatter for summary in self.summaries):
             return self
-        summaries = tuple(summary.without_scatter() for summary in self.summaries)
-        live = tuple(one and one.without_scatter() for one in self.live)
-        quiet = replace(self, summaries=summaries, live=live)
-        state, examination, estimate = quiet.solved()
-        coefficients, covariance = quiet.named(estimate, estimate.covariance)
+        quiet = tuple(one.weighted(replace(one.noise, scatter=0.0)) for one in self.summaries)
+        fit = replace(self, summaries=quiet)
+        state, examination, estimate = fit.solved()
+        coefficients, covariance = fit.named(estimate, estimate.covariance)
         return replace(
-            quiet,
+            fit,
             estimate=estimate,
             coefficients=coefficients,
             covariance=covariance,
             examination=examination,
             servo=state,
         )
+
+
+def merge_runs(
+    summaries: Sequence[RunSummary],
+    terms: tuple[str, ...],
+    per_run: tuple[str, ...] = (),
+    live: Sequence[Fit | None] = (),
+) -> JointFit:
+    """Merge summaries that contain the requested columns, and solve; raises as :meth:`MergedRuns.solved` does.
+
+    ``live`` are the fits of those with raw data.
+    """
+    runs = MergedRuns.of(summaries, terms, per_run)
+    state, examination, estimate = runs.solved()
+    stated = any(summary.noise.stated for summary in summaries)
+    interval = find_interval(runs.layout, estimate, runs.repetitions(state), stated=stated)
+    coefficients, covariance = runs.named(estimate, interval.covariance)
+    return JointFit(
+        **vars(runs),
+        live=tuple(live) or (None,) * len(summaries),
+        estimate=estimate,
+        interval=interval,
+        coefficients=coefficients,
+        covariance=covariance,
+        examination=examination,
+        servo=state,
+    )
 
 
 def fit_alone(run: Run, request: Request, steps: Steps) -> JointFit:
@@ -126,9 +152,9 @@ def fit_alone(run: Run, request: Request, steps: Steps) -> JointFit:
     IdentifiabilityError, DataError
         If the record does not determine what is asked.
     """
-    live = LiveRun("", request, fit_run(run, request, stated_scatter(run)), ())
+    fit = fit_run(run, request, stated_scatter(run))
     steps("finding the intervals")
-    return _useful(merge_runs(Wish.of_one(request.terms), [own_summary(live)], [live]))
+    return _useful(merge_runs([fit.summary], request.terms, live=[fit]))
 
 
 def fit_jointly(
@@ -147,36 +173,41 @@ def fit_jointly(
     IdentifiabilityError
         If the runs together cannot separate what is asked.
     """
-    _check_one_instrument(items)
-    wish = _wish(items, terms, per_run)
     names = _names(items)
-    live: list[LiveRun | None] = []
+    _check_one_instrument(items, names)
+    asked = [item.terms if isinstance(item, RunSummary) else item.model.terms for item in items]
+    if terms is not None:
+        asked = [tuple(terms)] * len(items)
+    union = tuple(dict.fromkeys(name for own in asked for name in own))
+    check_terms(union, where="terms of all runs together", output=items[0].unit)
+    free = _own_terms(items, asked) if per_run is None else tuple(per_run)
+    check_per_run(free, union)
+    live: list[Fit | None] = []
     summaries: list[RunSummary] = []
     for index, (item, name) in enumerate(zip(items, names, strict=True)):
+        wanted = tuple(term for term in union if term not in free or term in asked[index])
         if isinstance(item, RunSummary):
             live.append(None)
-            summaries.append(replace(item, name=name))
+            summaries.append(replace(item, name=name, terms=wanted))
             continue
         steps.within(index / len(items), f"fitting the model to {name}")
-        own = wish.terms_of(index)
-        request = make_request(item, own, "information", phases, per_run=())
-        prepared = prepare(item, request, name)
-        live.append(prepared)
-        summaries.append(summarise(prepared, own))
-    _check_temperature(wish, summaries)
+        request = make_request(item, wanted, "information", phases, per_run=())
+        fit, undetermined = fit_determined(item, request)
+        live.append(fit)
+        summaries.append(_summarised(fit, request, wanted, name, undetermined))
+    _check_temperature(union, summaries)
     steps("solving all runs together")
-    merged = merge_runs(wish, summaries, live)
-    scale_factor = _scale_factor(merged)
-    stale = [
-        i
-        for i, summary in enumerate(summaries)
-        if summary.turning and abs(scale_factor / summary.inner_scale_factor - 1.0) > _INNER_CHANGE
-    ]
-    for i in stale:
-        prepared_again = live[i]
-        if prepared_again is not None:
-            summaries[i] = summarise(prepared_again, wish.terms_of(i), scale_factor)
-    return _useful(merge_runs(wish, summaries, live) if stale else merged)
+    merged = merge_runs(summaries, union, free, live)
+    scale_factor, stale = merged.scale_factor_of(merged.estimate), False
+    for index, (fit_of_run, summary) in enumerate(zip(live, summaries, strict=True)):
+        changed = abs(scale_factor / summary.inner_scale_factor - 1.0) > _INNER_CHANGE
+        if fit_of_run and summary.turning and changed:
+            request = replace(fit_of_run.request, terms=summary.terms)
+            again = _summarised(
+                fit_of_run, request, summary.terms, summary.name, summary.undetermined, scale_factor
+            )
+            summaries[index], stale = again, True
+    return _useful(merge_runs(summaries, union, free, live) if stale else merged)
 
 
 def _useful(fit: JointFit) -> JointFit:
@@ -189,34 +220,27 @@ def _useful(fit: JointFit) -> JointFit:
     return fit
 
 
-def _wish(
-    items: Sequence[Run | RunSummary], terms: Sequence[str] | None, per_run: Sequence[str] | None
-) -> Wish:
-    own = [item.terms if isinstance(item, RunSummary) else item.model.terms for item in items]
-    if terms is not None:
-        own = [tuple(terms)] * len(items)
-    union = tuple(dict.fromkeys(name for names in own for name in names))
-    check_terms(union, where="terms of all runs together", output=items[0].unit)
-    free = _own_terms(items, own) if per_run is None else tuple(per_run)
-    check_per_run(free, union)
-    return Wish(union, free, tuple(own))
-
-
-def _own_terms(items: Sequence[Run | RunSummary], own: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+def _own_terms(items: Sequence[Run | RunSummary], asked: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Terms with a value in each run: those that the run files name. Where none names any, the bias.
 
     A bias changes from one power-up to the next. Shared, its change would widen the intervals of all other terms. A run of
     one position cannot tell its bias alone; then all runs share it.
     """
-    given = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
-    asked = [names for names in given if names is not None]
-    if asked:
-        return tuple(dict.fromkeys(name for names in asked for name in names))
-    if len(items) == 1:
-        return ()
+    files = [item.per_run if isinstance(item, RunSummary) else item.estimation.per_run for item in items]
+    given = [names for names in files if names is not None]
+    if given or len(items) == 1:
+        return tuple(dict.fromkeys(name for names in given for name in names))
     counts = [len(item.segments if isinstance(item, RunSummary) else item.labels) for item in items]
-    with_bias = [count for count, names in zip(counts, own, strict=True) if BIAS in names]
+    with_bias = [count for count, names in zip(counts, asked, strict=True) if BIAS in names]
     return (BIAS,) if with_bias and min(with_bias) > 1 else ()
+
+
+def run_name(run: Run, index: int) -> str:
+    """Stem of the run file; if it is only 'run', the name of its folder; or else a number."""
+    if not run.source:
+        return f"run {index + 1}"
+    path = Path(run.source)
+    return (path.resolve().parent.name if path.stem == "run" else path.stem) or path.stem
 
 
 def _names(items: Sequence[Run | RunSummary]) -> list[str]:
@@ -231,8 +255,8 @@ def _names(items: Sequence[Run | RunSummary]) -> list[str]:
     return names
 
 
-def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
-    first, names = items[0], _names(items)
+def _check_one_instrument(items: Sequence[Run | RunSummary], names: Sequence[str]) -> None:
+    first = items[0]
     seen: dict[tuple[str, ...], str] = {}
     for item, name in zip(items, names, strict=True):
         if item.serial != first.serial:
@@ -259,41 +283,156 @@ def _check_one_instrument(items: Sequence[Run | RunSummary]) -> None:
         seen[digests] = name
 
 
-def _check_temperature(wish: Wish, summaries: list[RunSummary]) -> None:
+def _check_temperature(terms: tuple[str, ...], summaries: list[RunSummary]) -> None:
     references = {summary.temperature_reference for summary in summaries}
-    if len(references) > 1 and set(THERMAL_TERMS) & set(wish.terms):
+    if len(references) > 1 and set(THERMAL_TERMS) & set(terms):
         raise CalibrationError(
             "the runs have different reference temperatures",
             remedy="write the same [model] temperature_reference in all run files",
         )
 
 
-def merge_runs(wish: Wish, summaries: Sequence[RunSummary], live: Sequence[LiveRun | None]) -> JointFit:
-    """Merge summaries that contain the requested columns, and solve; raises as :meth:`MergedRuns.solved` does."""
-    runs = MergedRuns.of(wish, summaries)
-    state, examination, estimate = runs.solved()
-    interval = runs.interval_of(estimate, state)
-    coefficients, covariance = runs.named(estimate, interval.covariance)
-    return JointFit(
-        wish=wish,
-        summaries=tuple(summaries),
-        layout=runs.layout,
-        shared=runs.shared,
-        live=tuple(live),
-        estimate=estimate,
-        interval=interval,
-        coefficients=coefficients,
-        covariance=covariance,
-        examination=examination,
-        servo=state,
+def fit_determined(run: Run, request: Request) -> tuple[Fit, tuple[str, ...]]:
+    """The fit of a run with the terms that it can determine alone, for its weights; and the other terms."""
+    undetermined: list[str] = []
+    terms, stated = request.terms, stated_scatter(run)
+    while True:
+        try:
+            return fit_run(run, replace(request, terms=terms), stated), tuple(dict.fromkeys(undetermined))
+        except IdentifiabilityError as error:
+            dropped = _given_up(terms, error.terms)
+            undetermined += [*error.terms, *dropped]
+            terms = tuple(term for term in terms if term not in dropped) or (BIAS,)
+
+
+def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
+    """Terms to leave out of a fit that cannot separate these terms: one of them, with its partner."""
+    if not confounded or len(terms) == 1:
+        raise ArgumentError("the run determines no coefficient", remedy="check its reference and its output")
+    order = {term: _LAST_TO_GO.index(term) + 1 if term in _LAST_TO_GO else 0 for term in confounded}
+    chosen = min(reversed(confounded), key=order.__getitem__)
+    wave = harmonic(chosen)
+    if wave:
+        return tuple(f"{kind}{wave[1]}" for kind in ("s", "c"))
+    if chosen == "tan_beta":
+        return (chosen, *(term for term in terms if harmonic(term) or term in SERVO_TERMS))
+    return (chosen,)
+
+
+def _summarised(
+    fit: Fit,
+    request: Request,
+    columns: tuple[str, ...],
+    name: str,
+    undetermined: tuple[str, ...],
+    scale_factor: float | None = None,
+) -> RunSummary:
+    """The run of a fit, reduced to the given columns; ``scale_factor`` replaces the K inside the regressors."""
+    wide = replace(request, terms=columns, per_run=())
+    design = Design(fit.run, wide, scale_factor or fit.design.scale_factor)
+    rows = reduce_positions(design, fit.mode, fit.noise)
+    residuals = find_residuals(fit.design, fit.values, fit.noise, fit.mode)
+    return replace(
+        RunSummary.of_rows(design, fit.noise, rows, name=name, request=request, undetermined=undetermined),
+        segments=segment_table(fit.design, residuals),
+        figures=residual_figures(residuals),
+        outliers=fit.outliers,
+        software=f"piga {__version__}",
+        created=now(),
     )
 
 
-def _scale_factor(fit: JointFit) -> float:
-    keys = fit.layout.amplitude_keys
-    if ("scale_factor", None) not in keys:
-        return fit.summaries[0].scale_factor
-    return float(fit.estimate.amplitudes[keys.index(("scale_factor", None))])
+def now() -> str:
+    """Creation time for results (UTC)."""
+    return dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def summary_of_all_terms(run: Run, request: Request, name: str) -> RunSummary:
+    """The summary of a run with the columns of all terms, and with its sources."""
+    fit, undetermined = fit_determined(run, request)
+    logged = (term for term, column in LOGGED_TERMS.items() if getattr(run, column) is not None)
+    static = (term for term in STATIC_TERMS if not (run.direct and turns(term)))
+    columns = (*static, *logged, *(term for term in request.terms if harmonic(term)))
+    summary = _summarised(fit, request, columns, name or run_name(run, 0), undetermined)
+    design = Design(fit.run, replace(request, terms=columns, per_run=()), fit.design.scale_factor)
+    return with_sources(summary, design, fit.design, fit.values, fit.mode)
+
+
+def with_sources(
+    summary: RunSummary,
+    design: Design,
+    fitted: Design,
+    values: Array,
+    mode: str,
+    *,
+    units: bool = False,
+    steps: Steps = SILENT,
+) -> RunSummary:
+    """The summary of a record with a column for each source of Type B.
+
+    Of a long record the means of neighbouring samples are moved.
+
+    Parameters
+    ----------
+    summary, design, mode:
+        The summary, its columns (those of the servo without a phase), and the mode of the weights.
+    fitted, values:
+        A model of the record, and its column coefficients (segments, m).
+    units:
+        With one unit of each source that nobody stated.
+    steps:
+        Hears of each source.
+    """
+    run = design.means.run
+    moving = [(source, True) for source in sources(run)]
+    moving += [(source, False) for source in units_of(run)] if units else []
+    plain = Design(run, fitted.request, fitted.scale_factor, fitted.servo)
+    known, changes = residual_increments(plain, values)[0], []
+    for source, _ in moving:
+        steps.part(f"adding up the budget: {source.name}")
+        change = residual_increments(plain.of(source.moved), values)[0]
+        change -= known
+        changes.append(change)
+    names = tuple(source_column(number) for number in range(len(changes)))
+    extra = Extra(names, lambda block: np.array([change[block.start : block.stop] for change in changes]))
+    parts = reduce_positions(design, mode, summary.noise, extra=extra if changes else None)
+    return replace(
+        summary,
+        positions=repetitions(design, summary.noise, parts),
+        sources=tuple(
+            _source_summary(source, design.run, stated, weighed=bool(summary.noise.stated))
+            for source, stated in moving
+        ),
+        stand_sources=listed(design.run),
+    )
+
+
+def _source_summary(source: Source, run: Run, stated: bool, *, weighed: bool) -> SourceSummary:
+    servo = given_servo(replace(run, servo=source.fields["servo"])) if "servo" in source.fields else {}
+    return SourceSummary(
+        source.name,
+        source.value,
+        source.unit,
+        source.distribution,
+        source.degrees_of_freedom if np.isfinite(source.degrees_of_freedom) else None,
+        tuple(servo.items()),
+        source.draw,
+        in_fit=source.draw == "segment" and weighed,
+        stated=stated,
+    )
+
+
+def with_all_sources(fit: JointFit, steps: Steps = SILENT) -> JointFit:
+    """The fit with the sources of Type B of its runs with raw data; the others have those that are stated."""
+    summaries = list(fit.summaries)
+    for index, live in enumerate(fit.live):
+        if live:
+            design, values = fit.design_of(index, live)
+            plain = design.with_servo(None)
+            summaries[index] = with_sources(
+                summaries[index], plain, design, values, live.mode, units=True, steps=steps
+            )
+    return replace(fit, summaries=tuple(summaries))
 
 
 def joint_sources(
@@ -320,19 +459,6 @@ def joint_sources(
         (first, number), *_ = numbers.items()
         source, names = summaries[first].sources[number], ", ".join(summaries[index].name for index in numbers)
         yield (replace(source, name=f"{source.name} ({names})") if names else source), numbers
-
-
-def with_all_sources(fit: JointFit, steps: Steps = SILENT) -> JointFit:
-    """The fit with the sources of Type B of its runs with raw data; the others have those that are stated."""
-    summaries = list(fit.summaries)
-    for index, live in enumerate(fit.live):
-        if live:
-            design, values = fit.design_of(index, live)
-            plain, mode = design.with_servo(None), live.fit.mode
-            summaries[index] = with_sources(
-                summaries[index], plain, design, values, mode, units=True, steps=steps
-            )
-    return replace(fit, summaries=tuple(summaries))
 
 
 def effects(fit: JointFit, *, stated: bool) -> Iterator[tuple[SourceSummary, Array]]:
@@ -380,13 +506,25 @@ def given_servo_of(fit: JointFit) -> tuple[dict[str, float], dict[str, dict[str,
 
 
 def sources_of_stand(fit: JointFit, more: Sequence[StandSource] = ()) -> tuple[StandSource, ...]:
-    """The sources of the stands of all runs, and ``more``, and the change of each coefficient by one unit of those not stated.
+    """The sources of the stands of all runs by name, and ``more``, with what one unit of those not stated does.
 
-    The summary of a run without its raw data has no effects.
+    A source has the worst status that a run gives it. The summary of a run without its raw data has no effects.
     """
-    listed = (*merged_sources(summary.stand_sources for summary in fit.summaries), *more)
-    moved = {source.name: change[0] for source, change in effects(fit, stated=False)}
-    return with_effects(listed, moved, [c.key for c in fit.coefficients])
+    merged: dict[str, StandSource] = {}
+    for source in (one for summary in fit.summaries for one in summary.stand_sources):
+        first = merged.get(source.name, source)
+        merged[source.name] = max(first, source, key=lambda one: _WORST.index(one.status))
+    keys = [c.key for c in fit.coefficients]
+    effects_of = {
+        source.name: {key: float(part) for key, part in zip(keys, change[0], strict=True) if part}
+        for source, change in effects(fit, stated=False)
+    }
+    return tuple(
+        replace(source, effects={n: own for n, own in effects_of.items() if n.startswith(source.name)})
+        if source.status == "unstated"
+        else source
+        for source in (*merged.values(), *more)
+    )
 
 
 def check_items(items: object) -> list[Run | RunSummary]:

@@ -20,13 +20,13 @@ import numpy as np
 
 from piga.calibration.fit import Fit
 from piga.calibration.intervals import inverse_root
-from piga.calibration.merged import MergedRuns, RunTriangles, Wish
+from piga.calibration.joint import fit_determined
 from piga.calibration.model.design import Design, ServoState
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, check_servo, make_request
 from piga.calibration.model.solution import Estimate
-from piga.calibration.summary import prepare
+from piga.calibration.summary import MergedRuns, RunSummary
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import Progress, Steps
@@ -325,25 +325,24 @@ class UnionReduction:
     """A record, whitened and reduced over the union of all columns: its summary has one triangle per part."""
 
     fit: Fit
-    summary: RunTriangles
+    summary: RunSummary
     parted_by: str
     log_determinant: float
 
     @classmethod
     def of(cls, run: Run, request: Request) -> UnionReduction:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
-        live = prepare(run, request, "")
-        fit, columns = live.fit, tuple(dict.fromkeys((*request.terms, _PROBE)))
-        design = Design(live.run, replace(request, terms=columns), fit.design.scale_factor)
+        (fit, _), columns = fit_determined(run, request), tuple(dict.fromkeys((*request.terms, _PROBE)))
+        design = Design(fit.run, replace(request, terms=columns), fit.design.scale_factor)
         noise = replace(fit.noise, scatter=0.0, stated=())
-        positions = Positions.of(live.run)
+        positions = Positions.of(fit.run)
         triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
-        summary = RunTriangles.of_rows("", design, noise, triangles, positions)
+        summary = RunSummary.of_rows(design, noise, triangles, positions)
         return cls(fit, summary, "block" if positions.continuous else "segment", logarithm)
 
     def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
         """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        runs = MergedRuns.of(Wish.of_one(terms), [self.summary])
+        runs = MergedRuns.of([self.summary], terms)
         try:
             check_servo(replace(self.fit.design.request, terms=terms))
             state, _, estimate = runs.solved()

@@ -106,6 +106,16 @@ def root_mean_square(values: Array) -> float:
     return math.sqrt(float(values @ values) / values.size)
 
 
+def residual_figures(residuals: Residuals) -> dict[str, float]:
+    """Root mean square and largest residual before and after (the units of the residuals)."""
+    return {
+        "residual_rms": root_mean_square(residuals.after),
+        "residual_rms_before": root_mean_square(residuals.before),
+        "residual_max_before": largest_size(residuals.before),
+        "residual_max_after": largest_size(residuals.after),
+    }
+
+
 def segment_scatter(design: Design, residuals: Residuals, noise: Noise) -> SegmentScatter:
     """Scatter of the mean rates of the segments, relative to the scatter expected from the noise.
 

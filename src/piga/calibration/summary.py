@@ -1,14 +1,15 @@
-"""Summary of a run in fixed size: its reduction, which can be merged with other runs without the raw data.
+"""Summaries of runs, and their solution: of one run, or of several runs of one instrument together.
 
-On disk a summary has the schema ``piga.run-summary/2``: exact, readable, checked when read.
+A summary has a fixed size: a triangle for each position. Coefficients belong to the instrument, except phases (each power-up
+has its own zero of the output angle) and the terms named in ``per_run``. Every run is weighted by its own noise levels. On disk
+a summary has the schema ``piga.run-summary/2``: exact, readable, checked when read.
 """
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,71 +17,125 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from piga._version import __version__
-from piga.calibration.fit import Fit, fit_run
-from piga.calibration.merged import RunTriangles, SourceSummary, repetitions, source_column
-from piga.calibration.model.design import PHASELESS, Design, given_servo
+from piga.calibration.intervals import Repetition
+from piga.calibration.model.design import PHASELESS, Design, Names, ServoState, given_servo, phaseless_columns
+from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, make_request
-from piga.calibration.residuals import find_residuals, root_mean_square, segment_table
-from piga.calibration.sources import Source, listed, sources
-from piga.calibration.uncertainty import stated_scatter, units_of
-from piga.calibration.weights import RATE, Extra, Noise, reduce_positions, residual_increments
-from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
+from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
+from piga.calibration.model.solution import (
+    Estimate,
+    Layout,
+    Owner,
+    merged_groups,
+    name_parameters,
+    solve_parts,
+)
+from piga.calibration.servo import at_state, state_of
+from piga.calibration.weights import RATE, Noise, Positions
+from piga.errors import CalibrationError
 from piga.output import check_results
-from piga.progress import SILENT, Steps
-from piga.records.arrays import largest_size
-from piga.records.calibration.calibration import Provenance
-from piga.records.calibration.coefficient import Level, Number, StandSource
-from piga.records.calibration.diagnostics import Outlier, Quality, Residuals, SegmentSummary
+from piga.records.calibration.coefficient import Coefficient, Level, Number, StandSource
+from piga.records.calibration.diagnostics import Outlier, Quality, SegmentSummary
 from piga.records.run import Run
-from piga.records.terms import SERVO_TERMS, check_name, harmonic, turns
+from piga.records.run_file import Draw
+from piga.records.terms import GYRO, SERVO_TERMS, check_name
 from piga.results import Array, Result
-from piga.terms import LOGGED_TERMS, TERMS
 from piga.text_files import JsonError, converted, json_object, read_whole
 from piga.threads import one_thread
+from piga.upper import doors
 
-STATIC_TERMS = tuple(name for name in TERMS if name not in ("phi", "k1", *LOGGED_TERMS))
-"""Columns of a stored summary besides the requested harmonics; with temperature or vibration also their columns."""
 SCHEMA = "piga.run-summary/2"
 MOST_SUMMARY_BYTES = 256 << 20
-_LAST_TO_GO = ("k0", "tan_beta", "scale_factor")
-"""Terms that the fit for the noise levels leaves out last."""
+_SAME_SERVO = 0.02
+"""Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
+_STEADY = 1e-3
+"""Relative change of the force below which a run of one segment holds one position."""
+
+
+@dataclass(frozen=True)
+class SourceSummary:
+    """One source of Type B of a run. Its column in the triangles of the positions is named by its number.
+
+    The column is the change of the observations, less that of the model, by one standard uncertainty of the source.
+    ``degrees_of_freedom`` None: known exactly. ``in_fit``: True if the weights include the source. ``draw`` as in the run file.
+    ``stated``: False for one unit of a source that nobody stated.
+    """
+
+    name: str
+    value: Number
+    unit: str
+    distribution: str = "normal"
+    degrees_of_freedom: Level | None = None
+    known_servo: tuple[tuple[str, Number], ...] = ()
+    draw: Draw = "reference"
+    in_fit: bool = False
+    stated: bool = True
+
+
+def source_column(number: int) -> str:
+    """Name of the column of a source."""
+    return f"source {number}"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class RunSummary(RunTriangles, Result):
-    """Data of one run for a joint calibration.
+class RunSummary(Result):
+    """Data of one run for a calibration alone or with others.
 
     Attributes
     ----------
-    serial, kind:
-        Serial number of the instrument; kind of the output.
+    name:
+        Name of the run (unique among runs that are solved together).
+    serial, kind, unit:
+        Serial number of the instrument; kind of the output; unit of the output rate.
     terms, per_run, phases:
         As requested in its run file.
+    scale_factor, inner_scale_factor:
+        Nominal K [(rad/s)/(m/s^2)], and K inside the regressors.
+    noise:
+        Levels of this run that weigh its rows.
+    labels:
+        Segment of each phase group (None: one phase for the run).
+    positions:
+        Triangle ``[columns | rate | sources | y]`` of each position, with its phase group, the variance of its rate, and its
+        times. Columns of the servo have no phase.
+    ranges:
+        Range in which a calibration with this run is valid (SI).
     turning:
         True if the regressors depend on K (a base rotation is recorded).
     stand, reference_id:
         Kind of the stand and name of the reference. Runs that agree in both share the errors of the reference.
     undetermined:
         Terms that this run alone cannot determine.
-    stand_sources:
-        Sources that exist on its stand, and whether they are stated.
+    sources, stand_sources:
+        Sources of Type B; those that exist on its stand, and whether they are stated.
+    known_servo:
+        Servo coefficients [1/(m/s^2)^2] from the servo parameters of the run file.
     quality, segments, figures:
         As in a calibration of this run alone.
     """
 
+    name: str
     serial: str
     kind: str
+    unit: str = GYRO
     terms: tuple[str, ...]
     per_run: tuple[str, ...] | None
     phases: str
+    scale_factor: Level
+    inner_scale_factor: Level
+    noise: Noise
+    labels: tuple[str | None, ...]
+    positions: tuple[Repetition, ...]
+    ranges: dict[str, tuple[Number, Number]]
     temperature_reference: Level
     time_reference: Number
     turning: bool
     stand: str | None
     reference_id: str | None
     undetermined: tuple[str, ...]
+    sources: tuple[SourceSummary, ...] = ()
+    stand_sources: tuple[StandSource, ...] = ()
+    known_servo: tuple[tuple[str, Number], ...] = ()
     quality: Quality
     segments: tuple[SegmentSummary, ...]
     figures: dict[str, Level]
@@ -89,7 +144,6 @@ class RunSummary(RunTriangles, Result):
     software: str = ""
     created: str = ""
     outliers: tuple[Outlier, ...] = ()
-    stand_sources: tuple[StandSource, ...] = ()
 
     @classmethod
     @one_thread()
@@ -112,24 +166,61 @@ class RunSummary(RunTriangles, Result):
         CalibrationError, ArgumentError
             If the request does not fit the record.
         """
-        live = prepare(run, make_request(run, terms, "information"), name or run_name(run, 0))
-        fit, columns = live.fit, _all_columns(run, live.request)
-        design = Design(live.run, replace(live.request, terms=columns, per_run=()), fit.design.scale_factor)
-        return with_sources(summarise(live, columns), design, fit.design, fit.values, fit.mode)
+        request = make_request(run, terms, "information")
+        summary: RunSummary = doors().reduced_runs().summary_of_all_terms(run, request, name)
+        return summary
+
+    @classmethod
+    def of_rows(
+        cls,
+        design: Design,
+        noise: Noise,
+        rows: Sequence[Reduction],
+        positions: Positions | None = None,
+        *,
+        name: str = "",
+        request: Request | None = None,
+        undetermined: tuple[str, ...] = (),
+    ) -> RunSummary:
+        """Triangles of the positions of a run, with what is needed to solve them: no sources, no residuals.
+
+        ``design`` has no phases of the servo. ``request``: that of the run, if the design has more columns.
+        """
+        run, request = design.run, request or design.request
+        return RunSummary(
+            name=name,
+            serial=run.serial,
+            kind=run.kind,
+            unit=run.unit,
+            terms=request.terms,
+            per_run=request.per_run,
+            phases=request.phases,
+            scale_factor=run.scale_factor,
+            inner_scale_factor=design.scale_factor,
+            noise=noise,
+            labels=run.labels if design.per_segment else (None,),
+            positions=repetitions(design, noise, rows, positions),
+            ranges=_ranges(run),
+            temperature_reference=request.temperature_reference,
+            time_reference=design.time_reference,
+            turning=run.base_rate is not None,
+            stand=None if run.stand is None else str(run.stand.get("kind")),
+            reference_id=run.uncertainty.reference_id,
+            undetermined=undetermined,
+            known_servo=tuple(given_servo(run).items()),
+            quality=run.quality,
+            segments=(),
+            figures={},
+            input_sha256=dict(run.input_sha256),
+            source=run.source,
+        )
 
     def to_json(self, path: str | Path) -> None:
-        """Write the summary (schema ``piga.run-summary/2``): exact.
-
-        Infinite degrees of freedom of a source are null.
-        """
-        document = {"schema": SCHEMA} | msgspec.to_builtins(self, enc_hook=_plain)
+        """Write the summary (schema ``piga.run-summary/2``): exact."""
+        document = {"schema": SCHEMA} | msgspec.to_builtins(self, enc_hook=lambda array: array.tolist())
         document["phase"] = document.pop("phases")
-        for part in document["sources"]:
-            if math.isinf(part["degrees_of_freedom"]):
-                part["degrees_of_freedom"] = None
-        Path(path).write_text(
-            json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        text = json.dumps(document, ensure_ascii=False, allow_nan=False)
+        Path(path).write_text(text + "\n", encoding="utf-8")
 
     @staticmethod
     def from_json(path: str | Path) -> RunSummary:
@@ -151,226 +242,55 @@ class RunSummary(RunTriangles, Result):
                     f"{path}: no run summary of schema '{SCHEMA}' (it says: {kind})",
                     remedy="name a run file (.toml), or a summary that --summary wrote",
                 )
-            _restore(document)
+            document["phases"] = document.pop("phase", None)
             summary = converted(document, RunSummary, _array)
         except (JsonError, msgspec.ValidationError) as error:
             raise CalibrationError(
                 f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
             ) from None
-        damaged = next(_damages(summary), None)
-        if damaged is not None:
-            raise CalibrationError(f"{path}: its {damaged} damaged", remedy="summarise the run again")
+        damaged = summary._damaged()
+        if damaged:
+            raise CalibrationError(f"{path}: its {damaged} are damaged", remedy="summarise the run again")
         return summary
 
-    def without_scatter(self) -> RunSummary:
-        """The summary with the weights of white noise, random walk and stated scatter only."""
-        return self.weighted(replace(self.noise, scatter=0.0))
-
-
-@dataclass(frozen=True)
-class LiveRun:
-    """A run with raw data: its name, request, and the fit of its noise levels."""
-
-    name: str
-    request: Request
-    fit: Fit
-    undetermined: tuple[str, ...]
+    def _damaged(self) -> str:
+        """The parts that are not whole or do not fit together; empty if all do."""
+        names: set[str] = set()
+        for part in (position.part for position in self.positions):
+            size, names = len(part.names) + 1, names.union(part.names)
+            fits = part.factor.shape == (size, size) and part.count >= 0
+            if not (fits and np.isfinite(part.factor).all() and not np.tril(part.factor, -1).any()):
+                return "summaries"
+        plain = (name for name in names if name not in ("p", "q", RATE, *PHASELESS))
+        known = all(name.startswith("source ") or check_name(name) for name in plain)
+        if not known or {position.group for position in self.positions} != set(range(len(self.labels))):
+            return "summaries"
+        return "" if {source_column(k) for k in range(len(self.sources))} <= names else "sources"
 
     @property
-    def run(self) -> Run:
-        """The record as used."""
-        return self.fit.design.run
+    def holds_one_position(self) -> bool:
+        """True if the run has one segment in which the force stays the same."""
+        ranges = [self.ranges[name] for name in ("a_x", "a_t") if name in self.ranges]
+        largest = max((abs(end) for limits in ranges for end in limits), default=0.0)
+        steady = all(high - low <= _STEADY * largest for low, high in ranges)
+        return steady and (self.positions[0].block or len(self.positions) == 1)
 
-    def without_scatter(self) -> LiveRun:
-        """The run with the weights of white noise, random walk and stated scatter only."""
-        return replace(self, fit=replace(self.fit, noise=replace(self.fit.noise, scatter=0.0)))
+    @property
+    def count(self) -> int:
+        """Number of observations."""
+        return sum(position.part.count for position in self.positions)
 
+    def weighted(self, noise: Noise) -> RunSummary:
+        """The summary with the variances of the rates that these levels give."""
+        variances = noise.rate_variances(len(self.positions)).tolist()
+        positions = zip(self.positions, variances, noise.stated_rates(len(variances)), strict=True)
+        held = tuple(replace(p, variance=own, stated=known) for p, own, known in positions)
+        return replace(self, noise=noise, positions=held)
 
-def run_name(run: Run, index: int) -> str:
-    """Stem of the run file; if it is only 'run', the name of its folder; or else a number."""
-    if not run.source:
-        return f"run {index + 1}"
-    path = Path(run.source)
-    return (path.resolve().parent.name if path.stem == "run" else path.stem) or path.stem
-
-
-def prepare(run: Run, request: Request, name: str) -> LiveRun:
-    """Find the weights of a run by its own fit. Terms that the run alone cannot determine are left out of the fit."""
-    undetermined: list[str] = []
-    terms, stated = request.terms, stated_scatter(run)
-    while True:
-        try:
-            fit = fit_run(run, replace(request, terms=terms), stated)
-        except IdentifiabilityError as error:
-            dropped = _given_up(terms, error.terms)
-            undetermined += [*dict.fromkeys((*error.terms, *dropped))]
-            terms = tuple(term for term in terms if term not in dropped) or ("k0",)
-            continue
-        return LiveRun(name, request, fit, tuple(dict.fromkeys(undetermined)))
-
-
-def _given_up(terms: tuple[str, ...], confounded: tuple[str, ...]) -> tuple[str, ...]:
-    """Terms to leave out of a fit that cannot separate these terms: one of them, with its partner."""
-    if not confounded or len(terms) == 1:
-        raise ArgumentError("the run determines no coefficient", remedy="check its reference and its output")
-    order = {term: _LAST_TO_GO.index(term) + 1 if term in _LAST_TO_GO else 0 for term in confounded}
-    chosen = min(reversed(confounded), key=order.__getitem__)
-    wave = harmonic(chosen)
-    if wave:
-        return tuple(f"{kind}{wave[1]}" for kind in ("s", "c"))
-    if chosen == "tan_beta":
-        return (chosen, *(term for term in terms if harmonic(term) or term in SERVO_TERMS))
-    return (chosen,)
-
-
-def _all_columns(run: Run, request: Request) -> tuple[str, ...]:
-    """Terms with columns in a stored summary."""
-    logged = (name for name, column in LOGGED_TERMS.items() if getattr(run, column) is not None)
-    static = (name for name in STATIC_TERMS if not (run.direct and turns(name)))
-    return (*static, *logged, *(term for term in request.terms if harmonic(term)))
-
-
-def bare_summary(
-    name: str,
-    request: Request,
-    design: Design,
-    noise: Noise,
-    rows: Sequence[Reduction],
-    undetermined: tuple[str, ...] = (),
-) -> RunSummary:
-    """Triangles of the positions of a run, with what is needed to solve them: no sources, no residuals."""
-    run = design.run
-    return RunSummary(
-        **vars(RunTriangles.of_rows(name, design, noise, rows)),
-        serial=run.serial,
-        kind=run.kind,
-        terms=request.terms,
-        per_run=request.per_run,
-        phases=request.phases,
-        temperature_reference=request.temperature_reference,
-        time_reference=design.time_reference,
-        turning=run.base_rate is not None,
-        stand=None if run.stand is None else str(run.stand.get("kind")),
-        reference_id=run.uncertainty.reference_id,
-        undetermined=undetermined,
-        quality=run.quality,
-        segments=(),
-        figures={},
-        input_sha256=dict(run.input_sha256),
-        source=run.source,
-    )
-
-
-def own_summary(live: LiveRun) -> RunSummary:
-    """The triangles of the run's own fit."""
-    fit = live.fit
-    rows = [position.part for position in fit.triangles.positions]
-    summary = bare_summary(live.name, live.request, fit.design.with_servo(None), fit.noise, rows)
-    return replace(summary, outliers=fit.outliers)
-
-
-def summarise(live: LiveRun, columns: tuple[str, ...], scale_factor: float | None = None) -> RunSummary:
-    """Reduce a prepared run to the given columns; ``scale_factor`` replaces the K inside the regressors."""
-    run, fit = live.run, live.fit
-    wish = replace(live.request, terms=columns, per_run=())
-    design = Design(run, wish, scale_factor or fit.design.scale_factor)
-    rows = reduce_positions(design, fit.mode, fit.noise)
-    summary = bare_summary(live.name, live.request, design, fit.noise, rows, live.undetermined)
-    return replace(summary, **_described(fit))
-
-
-def with_sources(
-    summary: RunSummary,
-    design: Design,
-    fitted: Design,
-    values: Array,
-    mode: str,
-    *,
-    units: bool = False,
-    steps: Steps = SILENT,
-) -> RunSummary:
-    """The summary of a record with a column for each source of Type B.
-
-    Of a long record the means of neighbouring samples are moved.
-
-    Parameters
-    ----------
-    summary, design, mode:
-        The summary, its columns (those of the servo without a phase), and the mode of the weights.
-    fitted, values:
-        A model of the record, and its column coefficients (segments, m).
-    units:
-        With one unit of each source that nobody stated.
-    steps:
-        Hears of each source.
-    """
-    run, given = design.means.run, list(sources(design.means.run))
-    unstated = units_of(run) if units else []
-    plain = Design(run, fitted.request, fitted.scale_factor, fitted.servo)
-    known, changes = residual_increments(plain, values)[0], []
-    for source in (*given, *unstated):
-        steps.part(f"adding up the budget: {source.name}")
-        change = residual_increments(plain.of(source.moved), values)[0]
-        change -= known
-        changes.append(change)
-    names = tuple(source_column(number) for number in range(len(changes)))
-    extra = Extra(names, lambda block: np.array([change[block.start : block.stop] for change in changes]))
-    parts = reduce_positions(design, mode, summary.noise, extra=extra if changes else None)
-    moved_by = [_source_summary(source, design.run, summary.noise) for source in given]
-    moved_by += [replace(_source_summary(one, design.run, summary.noise), stated=False) for one in unstated]
-    positions = repetitions(design, summary.noise, parts)
-    return replace(summary, positions=positions, sources=tuple(moved_by), stand_sources=listed(design.run))
-
-
-def _source_summary(source: Source, run: Run, noise: Noise) -> SourceSummary:
-    servo = given_servo(replace(run, servo=source.fields["servo"])) if "servo" in source.fields else {}
-    return SourceSummary(
-        source.name,
-        source.value,
-        source.unit,
-        source.distribution,
-        source.degrees_of_freedom,
-        tuple(servo.items()),
-        source.draw,
-        in_fit=source.draw == "segment" and bool(noise.stated),
-    )
-
-
-def _described(fit: Fit) -> dict[str, Any]:
-    """Segments and figures of a run from its own fit."""
-    residuals = find_residuals(fit.design, fit.values, fit.noise, fit.mode)
-    return {
-        "segments": segment_table(fit.design, residuals),
-        "figures": residual_figures(residuals),
-        "outliers": fit.outliers,
-        "software": f"piga {__version__}",
-        "created": now(),
-    }
-
-
-def residual_figures(residuals: Residuals) -> dict[str, Any]:
-    """Root mean square and largest residual before and after (the units of the residuals)."""
-    return {
-        "residual_rms": root_mean_square(residuals.after),
-        "residual_rms_before": root_mean_square(residuals.before),
-        "residual_max_before": largest_size(residuals.before),
-        "residual_max_after": largest_size(residuals.after),
-    }
-
-
-def provenance(inputs: dict[str, str], options: dict[str, Any]) -> Provenance:
-    """Where a result comes from: hashes of its inputs, this version, the time (UTC), and options."""
-    return Provenance(inputs, f"piga {__version__}", now(), options)
-
-
-def now() -> str:
-    """Creation time for results (UTC)."""
-    return dt.datetime.now(dt.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _plain(value: Any) -> Any:
-    """An array or a NumPy number as plain values."""
-    return value.tolist()
+    def columns(self, local: Names, shared: Names) -> Names:
+        """Names of the wanted columns in this summary. The ``k1`` of another run may be its scale factor."""
+        held = self.positions[0].part.names
+        return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
 
 
 def _array(_kind: type, value: Any) -> Array:
@@ -382,38 +302,240 @@ def _array(_kind: type, value: Any) -> Array:
     return numbers.astype(np.float64) if numbers.dtype.kind in "fi" else np.zeros(0)
 
 
-def _restore(document: dict[str, Any]) -> None:
-    """Infinite degrees of freedom, and the name of a key. In place."""
-    sources = document.get("sources")
-    if "phase" in document:
-        document["phases"] = document.pop("phase")
-    for part in sources if isinstance(sources, list) else ():
-        if isinstance(part, dict) and part.get("degrees_of_freedom", 0.0) is None:
-            del part["degrees_of_freedom"]
+def repetitions(
+    design: Design, noise: Noise, parts: Sequence[Reduction], positions: Positions | None = None
+) -> tuple[Repetition, ...]:
+    """The positions of a run, with their triangles, as repetitions of the measurement."""
+    run, positions = design.run, positions or Positions.of(design.run)
+    begin, end = positions.times(run)
+    names = [run.labels[k] for k in positions.segments.tolist()]
+    if positions.continuous:
+        names = [f"{k + 1} of {positions.count}" for k in range(positions.count)]
+    groups, block = [design.groups[k] for k in positions.segments.tolist()], positions.continuous
+    variances, stated = noise.rate_variances(positions.count).tolist(), noise.stated_rates(positions.count)
+    columns = zip(parts, groups, variances, names, begin.tolist(), end.tolist(), stated, strict=True)
+    return tuple(
+        Repetition(part, group, variance, name, t0, t1, block=block, stated=known)
+        for part, group, variance, name, t0, t1, known in columns
+    )
 
 
-def _damages(summary: RunSummary) -> Iterator[str]:
-    """Contradictions between parts of a summary."""
-    groups = len(summary.labels)
-    parts = tuple(position.part for position in summary.positions)
-    held = {position.group for position in summary.positions}
-    if not _whole(parts) or held != set(range(groups)):
-        yield "summaries are"
-    columns = {name for part in parts for name in part.names}
-    if not {source_column(number) for number in range(len(summary.sources))} <= columns:
-        yield "sources are"
+def _ranges(run: Run) -> dict[str, tuple[float, float]]:
+    """Range in which the calibration is valid (SI): axial and transverse force, temperature."""
+    square = run.f[:, 1] ** 2 + run.f[:, 2] ** 2
+    ranges = {"a_x": (float(run.f[:, 0].min()), float(run.f[:, 0].max()))}
+    ranges["a_t"] = (math.sqrt(square.min()), math.sqrt(square.max()))
+    if run.temperature is not None:
+        ranges["temperature"] = (float(run.temperature.min()), float(run.temperature.max()))
+    return ranges
 
 
-def _whole(parts: tuple[Reduction, ...]) -> bool:
-    """True if all reductions have known columns, and finite factors of the right size."""
-    for part in parts:
-        size = len(part.names) + 1
-        fits = part.factor.shape == (size, size) and part.count >= 0
-        known = all(
-            name in ("p", "q", RATE, *PHASELESS) or name.startswith("source ") or check_name(name)
-            for name in part.names
+@dataclass(frozen=True)
+class MergedRuns:
+    """Runs to solve together: union of their terms, those with a value in each run, summaries, common layout.
+
+    ``shared`` are the shared columns of every run.
+    """
+
+    terms: Names
+    per_run: Names
+    summaries: tuple[RunSummary, ...]
+    layout: Layout
+    shared: tuple[Names, ...]
+
+    @classmethod
+    def of(cls, summaries: Sequence[RunSummary], terms: Names, per_run: Names = ()) -> MergedRuns:
+        """The runs with the layout of the request. A run has those of the ``per_run`` terms that it asks for."""
+        shared = tuple(
+            shared_of(tuple(t for t in terms if t not in per_run or t in summary.terms))
+            for summary in summaries
         )
-        finite = np.isfinite(part.factor).all() and not np.tril(part.factor, -1).any()
-        if not (fits and known and finite):
-            return False
-    return True
+        keys: list[tuple[str, str | None]] = []
+        for term in shared_of(terms):
+            if term in per_run:
+                keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
+            else:
+                keys.append((term, None))
+        tails = []
+        for summary, own in zip(summaries, shared, strict=True):
+            at = [keys.index((t, summary.name if t in per_run else None)) for t in own]
+            tails += [np.array(at, dtype=np.int64)] * len(summary.labels)
+        layout = Layout("tan_beta" in terms, harmonics_of(terms), tuple(keys), tuple(tails))
+        return cls(terms, per_run, tuple(summaries), layout, shared)
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Range in which the result is valid: that of all runs together (SI)."""
+        names = dict.fromkeys(name for summary in self.summaries for name in summary.ranges)
+        held = {name: [s.ranges[name] for s in self.summaries if name in s.ranges] for name in names}
+        return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in held.items()}
+
+    @property
+    def local(self) -> Names:
+        """Columns that turn with the phase of a group."""
+        return self.layout.columns[: self.layout.local]
+
+    def first_group(self, index: int) -> int:
+        """Number of the first phase group of a run."""
+        return sum(len(summary.labels) for summary in self.summaries[:index])
+
+    def wanted(self, index: int) -> Names:
+        """Columns of a run in the fit."""
+        return self.summaries[index].columns(self.local, self.shared[index])
+
+    def known_servo(self, index: int) -> dict[str, float]:
+        """K times the servo coefficients that a run gives and that are not estimated."""
+        summary = self.summaries[index]
+        return {
+            name: summary.inner_scale_factor * size
+            for name, size in summary.known_servo
+            if name not in self.shared[index]
+        }
+
+    def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
+        """Changes of ``known_servo`` by each source of a run that moves it, by its column.
+
+        The fit that made the column may have estimated the servo, or had another phase.
+        """
+        summary, known = self.summaries[index], self.known_servo(index)
+        return {
+            source_column(number): {
+                name: summary.inner_scale_factor * size - known[name]
+                for name, size in source.known_servo
+                if name in known
+            }
+            for number, source in enumerate(summary.sources)
+            if source.known_servo
+        }
+
+    def positions(self, index: int, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
+        """The positions of one run, with the columns of the fit and those ``beside`` them.
+
+        Raises
+        ------
+        CalibrationError
+            If the summary lacks a column.
+        """
+        summary, first, shared = self.summaries[index], self.first_group(index), self.shared[index]
+        held, known, moved = summary.positions[0].part.names, self.known_servo(index), self._moved_servo(index)
+        plain = tuple(name for name in (*shared, *beside) if name not in SERVO_TERMS)
+        stored = summary.columns(self.local, plain + phaseless_columns((*shared, *beside, *known)))
+        wanted = (*self.wanted(index), *beside)
+        missing = [name for name in stored if name not in held]
+        if missing:
+            raise CalibrationError(
+                f"the summary of run '{summary.name}' has no column for {', '.join(missing)}",
+                remedy="summarise the run again with these terms",
+            )
+        result = []
+        for position in summary.positions:
+            part, group = position.part, first + position.group
+            if "scale_factor" in held and "scale_factor" not in plain:
+                part = part.less("scale_factor", summary.scale_factor)
+            part = part.select(stored)
+            if state is not None:
+                part = at_state(part, wanted, state, group, known, moved)
+            name = f"{summary.name}:{position.name}" if summary.name else position.name
+            result.append(replace(position, part=part, group=group, run=index, name=name))
+        return result
+
+    def repetitions(self, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
+        """The positions of all runs, with the columns of the fit and those ``beside`` them.
+
+        The blocks of a run that holds one position are one repetition: their scatter does not show that of positions.
+        """
+        result: list[Repetition] = []
+        for index, summary in enumerate(self.summaries):
+            held = self.positions(index, state, beside)
+            if summary.holds_one_position and len(self.summaries) > 1:
+                whole = Reduction.stacked([block.part for block in held])
+                held = [replace(held[0], part=whole, name=summary.name, end=held[-1].end, block=False)]
+            result += held
+        return result
+
+    def parts(self, state: ServoState | None) -> list[Reduction]:
+        """Triangles ``[columns | y]`` of all phase groups, with the scatter of the positions in their weights."""
+        held = [p for index in range(len(self.summaries)) for p in self.positions(index, state)]
+        alone = [position.part.without((RATE,), position.variance) for position in held]
+        return merged_groups(alone, tuple(position.group for position in held))
+
+    def servo_state(self) -> ServoState | None:
+        """State that combines the servo columns in all phase groups; None without servo terms.
+
+        Raises
+        ------
+        CalibrationError
+            If the runs give different parameters of the servo.
+        """
+        known = [self.known_servo(index) for index in range(len(self.summaries))]
+        if not any(known) and not any(name in SERVO_TERMS for names in self.shared for name in names):
+            return None
+        for index, given in enumerate(known):
+            alike = given.keys() == known[0].keys() and all(
+                abs(size - known[0][name]) <= _SAME_SERVO * abs(size) for name, size in given.items()
+            )
+            if not alike:
+                first, other = self.summaries[0].name, self.summaries[index].name
+                raise CalibrationError(
+                    f"run '{first}' and run '{other}' give different parameters of the servo",
+                    remedy="write the same [instrument] servo in all run files of an instrument, or in none",
+                )
+        wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.labels]
+        several = all(len(summary.labels) > 1 for summary in self.summaries)
+        return state_of(
+            self.layout, self.parts(None), wanted, known[0], per_segment=several, runs=len(self.summaries)
+        )
+
+    def solved(self) -> tuple[ServoState | None, Examination, Estimate]:
+        """State of the servo columns, examination and estimate.
+
+        Raises
+        ------
+        CalibrationError
+            If a column of a summary is missing, or the runs give different parameters of the servo.
+        IdentifiabilityError
+            If the runs together cannot separate what is asked.
+        """
+        state = self.servo_state()
+        parts = self.parts(state)
+        examination = examine_parts(self.layout, parts)
+        refuse_if_confounded(examination, len(self.summaries))
+        return state, examination, solve_parts(self.layout, parts)
+
+    def values_of(self, estimate: Estimate, index: int) -> Array:
+        """Coefficients of the columns of a run in each of its phase groups."""
+        first, count = self.first_group(index), len(self.summaries[index].labels)
+        phases = estimate.phases if self.layout.coupled else np.zeros(first + count)
+        return np.array(
+            [self.layout.linear(estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
+        )
+
+    def design_at(
+        self, design: Design, estimate: Estimate, state: ServoState | None, index: int = 0
+    ) -> tuple[Design, Array]:
+        """A design of a run with its servo columns at the phases of an estimate, and its coefficients in each segment."""
+        segments, values = len(design.run.labels), self.values_of(estimate, index)
+        if len(values) != segments:
+            values = np.tile(values[0], (segments, 1))
+        if state is not None:
+            first = self.first_group(index)
+            own = state.phases[first : first + len(self.summaries[index].labels)]
+            state = replace(state, phases=own if len(own) == segments else own * segments)
+        return design.with_servo(state), values
+
+    def named(self, estimate: Estimate, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
+        """Coefficients of all runs in file units, and their covariance, from that of the internal parameters."""
+        owners: list[Owner] = []
+        if self.layout.coupled:
+            owners = [(label, summary.name or None) for summary in self.summaries for label in summary.labels]
+        first = self.summaries[0]
+        return name_parameters(
+            self.layout, estimate, covariance, first.scale_factor, self.terms, owners, first.unit
+        )
+
+    def scale_factor_of(self, estimate: Estimate) -> float:
+        """K by an estimate; the nominal one where it is not estimated."""
+        keys = self.layout.amplitude_keys
+        if ("scale_factor", None) not in keys:
+            return self.summaries[0].scale_factor
+        return float(estimate.amplitudes[keys.index(("scale_factor", None))])

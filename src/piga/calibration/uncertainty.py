@@ -39,7 +39,7 @@ from piga.results import Array
 
 if TYPE_CHECKING:
     from piga.calibration.joint import JointFit
-    from piga.calibration.merged import SourceSummary
+    from piga.calibration.summary import SourceSummary
 
 _TRIALS = 200_000
 """Trials. They give an end of a 95 % interval to 0.6 % of u."""
@@ -117,9 +117,8 @@ def add_up(fit: JointFit, effects: Iterable[tuple[SourceSummary, Array]], more: 
     std = np.sqrt(np.diag(type_a))
     rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", own, std)]
     for s, change in moved:
-        known = s.degrees_of_freedom if math.isfinite(s.degrees_of_freedom) else None
         whole = change[0] if len(change) == 1 else np.sqrt(np.sum(change**2, axis=0))
-        rows.append(budget_row(s.name, "B", s.distribution, s.value, s.unit, own, whole, known))
+        rows.append(budget_row(s.name, "B", s.distribution, s.value, s.unit, own, whole, s.degrees_of_freedom))
     small = {name: half / math.sqrt(3.0) for name, half in more.items()}
     rows += [budget_row(name, "B", "rectangular", None, "", own, part) for name, part in small.items()]
     changes = (*(change for _, change in moved), *(part[None] for part in small.values()))
@@ -225,7 +224,7 @@ def monte_carlo_intervals(fit: JointFit, budget: Budget) -> tuple[tuple[Coeffici
     live, coefficients = fit.only, budget.coefficients
     wanted = "gum" if live is None else live.run.estimation.uncertainty
     weak = any(c.name == "tan_beta" and c.value < _DOUBTFUL * c.std for c in coefficients)
-    able = live is not None and live.fit.mode == "increments" and len(fit.estimate.jacobians) == 1
+    able = live is not None and live.mode == "increments" and len(fit.estimate.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None
     base, names, results = fit.values_of(fit.estimate, 0)[0], fit.wanted(0), _results(fit)
@@ -256,7 +255,7 @@ def _results(fit: JointFit) -> Callable[[Array], Array]:
     """Function from column coefficients (trials, m) of the only phase group to file units (trials, n), phi near its estimate."""
     layout = fit.layout
     names = [*(name for name, _ in layout.amplitude_keys), *("phi",) * layout.coupled]
-    order = asked_order(layout, fit.wish.terms, int(layout.coupled))
+    order = asked_order(layout, fit.terms, int(layout.coupled))
     units = np.array([si_factor(name) for name in names])
     near = next((c.value for c in fit.coefficients if c.name == "phi"), 0.0)
 

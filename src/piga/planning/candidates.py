@@ -18,10 +18,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from piga.calibration.joint import JointFit, effects, merge_runs
-from piga.calibration.merged import Wish
+from piga.calibration.joint import JointFit, effects, merge_runs, with_sources
 from piga.calibration.model.design import Design
-from piga.calibration.summary import RunSummary, bare_summary, with_sources
+from piga.calibration.summary import RunSummary
 from piga.calibration.weights import (
     RATE,
     Extra,
@@ -210,7 +209,7 @@ def _reduced(request: PlanRequest, run: Run) -> tuple[Design, str, RunSummary]:
     noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)
     mode = weighting_mode(design, "information")
-    return design, mode, bare_summary("", wish, design, noise, reduce_positions(design, mode, noise))
+    return design, mode, RunSummary.of_rows(design, noise, reduce_positions(design, mode, noise))
 
 
 def _reduced_tests(request: PlanRequest, candidates: tuple[Candidate, ...], dwells: Array) -> list[RunSummary]:
@@ -250,7 +249,7 @@ def _joined(request: PlanRequest, parts: Sequence[RunSummary]) -> RunSummary:
 
 
 def _solved(request: PlanRequest, summary: RunSummary) -> JointFit:
-    return merge_runs(Wish.of_one(tuple(request.model.terms)), [summary], [None])
+    return merge_runs([summary], tuple(request.model.terms))
 
 
 def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], dwells: Array) -> Array:
@@ -338,7 +337,7 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, fit: Jo
         matrix[[len(model) + k, -1], -1] = 1.0
         pairs = zip(summary.positions, parts, strict=True)
         record = tuple(replace(position, part=part.mixed(model, matrix)) for position, part in pairs)
-        counted = merge_runs(fit.wish, [replace(summary, positions=record)], [None])
+        counted = merge_runs([replace(summary, positions=record)], fit.terms)
         stated.append([c.std for c in counted.coefficients])
     return np.asarray(np.sqrt(np.mean(np.square(stated), axis=0)))
 

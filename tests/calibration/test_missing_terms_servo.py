@@ -10,8 +10,7 @@ import pytest
 from benchmarks import verdict
 
 import piga
-from piga.calibration import RunSummary
-from piga.calibration.remarks import left_out
+from piga.calibration import RunSummary, missing_terms
 from piga.records.calibration.coefficient import OF_THE_MODEL, Coefficient
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
@@ -130,8 +129,8 @@ def test_k2o_leaves_the_servo_in_u_of_k():
 def test_a_clear_damping_of_few_degrees_of_freedom_is_clear():
     """60 standard uncertainties with one degree of freedom by the rule: at least four are assumed for the decision."""
     few = Coefficient("servo_damping", 1.0006e-5, 1.7e-7, "g/g^3", degrees_of_freedom=1.0)
-    assert left_out._is_clear(few, 2)
-    assert not left_out._is_clear(replace(few, value=6e-7), 2)
+    assert missing_terms._is_clear(few, 2)
+    assert not missing_terms._is_clear(replace(few, value=6e-7), 2)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,14 @@
-"""Terms that are missing in the model and that the residuals suggest: an added-variable test of every candidate.
+"""Terms that are missing in the model: an added-variable test of every candidate, and servo terms in the budget.
 
 All candidates are reduced together with the model in one square-root reduction. The factor then gives the decrease of
 the sum of squares by a candidate and its estimate: ``(x.e)^2/(x.x)`` and ``(x.e)/(x.x)``. Here x and e are candidate
 and residual after the model is projected out (own derivation, docs/theory). A candidate must pass two tests: against
 the noise, and against the scatter between segments. Errors of single positions are then not mistaken for a term.
+
+A servo that the model lacks and that the records show is covered by the change of the coefficients in a fit with its terms. If
+``a_x^2 + a_t^2 = N`` is constant, ``a_x a_t^2 = N a_x - a_x^3``: a servo of finite stiffness and a third-order coefficient then fit
+the records alike, and the scale factors of both models differ by ``k3 N``; both are covered (docs/understanding/servo). A servo
+that is not named and not clear is in the budget up to the size that the records do not exclude.
 """
 
 from __future__ import annotations
@@ -16,21 +21,20 @@ import numpy as np
 
 from piga.calibration.intervals import parameter_rows
 from piga.calibration.joint import JointFit, merge_runs
-from piga.calibration.merged import repetitions
-from piga.calibration.model.design import STIFFNESS_COLUMNS, Design, ServoState, phaseless_columns
+from piga.calibration.model.design import STIFFNESS_COLUMNS, Design, Names, ServoState, phaseless_columns
 from piga.calibration.model.reduction import Reduction, solve_upper
 from piga.calibration.sources import across_squared
-from piga.calibration.summary import RunSummary
+from piga.calibration.summary import RunSummary, repetitions
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration.coefficient import Coefficient, changes, coverage_factor
+from piga.records.arrays import spans
+from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor, rounded
 from piga.records.calibration.diagnostics import MissingTerm
 from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
-Names = tuple[str, ...]
 Squares = tuple[float | None, float | None]
 
 _FALSE_ALARMS = 0.002
@@ -52,12 +56,26 @@ _PIECES = 24
 """Parts of a record of few segments, for the scatter between parts."""
 _SPARE = 3
 """Segments beyond the number of parameters above which the scatter between segments is used."""
-FEWEST = 4
+_FEWEST = 4
 """Fewest degrees of freedom of this scatter."""
 _CONSTANT = 1e-3
 """Largest relative change of a squared force that counts as constant."""
 _FORCE_SAMPLES = 4096
 """Samples used for this."""
+_CLEAR = 0.01
+"""Probability that a record without a servo gets one into its budget, Bonferroni over the tests."""
+_NEGLIGIBLE = 1e-9
+"""Relative change of K by the softest servo below which none is listed."""
+_SOFTEST = 1e-4
+"""Softest servo that is assumed [g/g^3]: its rotor axis tilts by 1e-4 rad at 45 degrees in 1 g (2 s a_x a_t)."""
+_ONE_SIDED = 1.645
+"""Standard uncertainties up to a one-sided 95 % limit."""
+
+LACKING_SOURCE = "servo terms that the model lacks"
+_UNNAMED_SOURCE = "servo that is not named"
+"""Names in the budget. They begin as :data:`piga.records.calibration.coefficient.OF_THE_MODEL` requires."""
+_TURNED = ("phi", "tan_beta")
+"""Coefficients that take up most of a missing ``servo_damping``."""
 
 CUBIC = ("servo", "k3", "k2o")
 """Terms that take up an odd signature of a_x, most plausible first."""
@@ -72,7 +90,7 @@ def _candidate_terms(fit: JointFit, squares: Squares) -> list[Names]:
     unless the zero of its angle is known in all segments. Left out is what the runs cannot separate from the servo terms of
     the model, and servo terms that they cannot determine.
     """
-    (total, across), terms, direct = squares, fit.wish.terms, fit.summaries[0].unit != GYRO
+    (total, across), terms, direct = squares, fit.terms, fit.summaries[0].unit != GYRO
     scaled = "scale_factor" in terms or "k1" in terms
     skipped = {*terms} | ({"k1"} if scaled else set()) | (set() if direct else {"k1a"})
     skipped |= held_terms(fit) & {*SERVO_TERMS} if "tan_beta" in terms else {*SERVO_TERMS}
@@ -179,12 +197,11 @@ class Candidates:
             for live, summary in zip(fit.live, fit.summaries, strict=True)
         ]
         squares = _common([total for total, _ in pairs]), _common([across for _, across in pairs])
-        by_input = any(live and live.request.phase_source != "output" for live in fit.live)
-        terms = [] if by_input else _candidate_terms(fit, squares)
+        terms = [] if fit.by_input else _candidate_terms(fit, squares)
         names = [name for names in terms for name in names]
-        more = () if by_input else ("k3", "servo_damping") if "p" in fit.local else ("k3",)
+        more = () if fit.by_input else ("k3", "servo_damping") if "p" in fit.local else ("k3",)
         order = names + [n for n in more if n not in {*names} | held_terms(fit) and _is_shown(fit, n)]
-        alone = [len(fit.summaries[fit.run_of(group)].labels) == 1 for group in range(estimate.phases.size)]
+        alone = [layout.coupled and len(one.labels) == 1 for one in fit.summaries for _ in one.labels]
         common = [*range(layout.size), *(layout.size + group for group in np.flatnonzero(alone).tolist())]
         summaries = tuple(_wide(fit, index, order) if order else one for index, one in enumerate(fit.summaries))
         if state is None and layout.coupled:
@@ -209,9 +226,8 @@ class Candidates:
 
     def refit(self, names: Names) -> dict[str, Coefficient] | None:
         """Coefficients by key of the fit with more terms; None if the records cannot separate them."""
-        wish = replace(self.fit.wish, terms=(*self.fit.wish.terms, *names))
         try:
-            fit = merge_runs(wish, self.summaries, [None] * len(self.fit.live))
+            fit = merge_runs(self.summaries, (*self.fit.terms, *names), self.fit.per_run)
         except (CalibrationError, IdentifiabilityError, np.linalg.LinAlgError):
             return None
         pairs = zip(fit.coefficients, fit.degrees.tolist(), strict=True)
@@ -227,7 +243,7 @@ class Candidates:
 
 def held_terms(fit: JointFit) -> set[str]:
     """Terms of the model, and those of the servo that the runs give."""
-    return {*fit.wish.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
+    return {*fit.terms, *(name for summary in fit.summaries for name, _ in summary.known_servo)}
 
 
 def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
@@ -245,9 +261,9 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     new = [name for name in wider.names if name not in design.names]
     at, others = [wider.names.index(name) for name in new], design.means.beside(wider.request, None)
     more = Extra(tuple(new), lambda _: next(others).columns[at])
-    reduced = reduce_positions(design, live.fit.mode, live.fit.noise, positions, more)
-    variances = live.fit.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)
-    parts = repetitions(design, replace(live.fit.noise, stated=(), counted=()), reduced, positions)
+    reduced = reduce_positions(design, live.mode, summary.noise, positions, more)
+    variances = summary.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)
+    parts = repetitions(design, replace(summary.noise, stated=(), counted=()), reduced, positions)
     held = zip(parts, variances[positions.segments].tolist(), strict=True)
     return replace(summary, positions=tuple(replace(part, variance=own) for part, own in held))
 
@@ -283,7 +299,7 @@ def tested(
     own, z, rest = R[m : m + q, m : m + q], R[m : m + q, -1], float(R[m + q, -1] ** 2)
     if np.linalg.svd(own, compute_uv=False)[-1] < _CONFOUNDED or np.abs(np.diag(R)[:m]).min() == 0.0:
         return None
-    fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, FEWEST)
+    fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, _FEWEST)
     if freedom < 1 or fall + rest == 0.0:
         return None
     variance, inverse = rest / freedom, solve_upper(own, np.eye(q))
@@ -405,3 +421,172 @@ def suggestions_in_words(suggestions: tuple[MissingTerm, ...]) -> tuple[str, ...
 def _two_digits(value: float) -> str:
     """Two digits without a power of ten: 0.93, 12, 340."""
     return f"{value:.2g}" if abs(value) < 99.5 else f"{float(f'{value:.2g}'):.0f}"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A signature of the servo that no term of the model absorbs.
+
+    ``change`` is the half-width of its effect on each coefficient of the result (file units). ``words`` are its note;
+    empty if it is not clear. ``listed`` is its place among the sources of the stand.
+    """
+
+    source: str
+    change: Array
+    words: str
+    listed: StandSource | None = None
+
+    def largest_shift(self, coefficients: tuple[Coefficient, ...]) -> float:
+        """Largest change of a coefficient in its standard uncertainties."""
+        sizes = zip(np.abs(self.change).tolist(), coefficients, strict=True)
+        return max((size / c.std for size, c in sizes if c.std > 0.0), default=0.0)
+
+
+def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stands separate them.
+
+    ``candidates`` are those of the fit without scatter.
+    """
+    held, square, coefficients = held_terms(fit), candidates.squares[0], fit.coefficients
+    if fit.summaries[0].unit != GYRO or fit.by_input:
+        return ()
+    waived = any(s.name == "servo" and s.status == "waived" for one in fit.summaries for s in one.stand_sources)
+    scaled = "scale_factor" in held and "scale_factor" not in fit.per_run
+    lacking = (
+        _lacking(fit, candidates) if scaled and "tan_beta" in held and not _is_hidden(fit, candidates) else ()
+    )
+    if waived or not scaled or "servo" in held or (lacking and "servo" in candidates.order):
+        return lacking
+    return (
+        *lacking,
+        *(_asked_cube(coefficients, square) if square and "k3" in held else _unnamed(fit, candidates)),
+    )
+
+
+def _is_hidden(fit: JointFit, candidates: Candidates) -> bool:
+    """True if phases of the segments of one run, on a stand that is no head, let its damping pass for its stiffness."""
+    return fit.only is not None and candidates.squares[0] is None and _has_own_phases(fit)
+
+
+def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """The terms of the servo, if a fit with them shows one, or ``k3`` may be one: it has a damping, too, that turns the phases.
+
+    The half-width is the change in that fit, and by what its standard uncertainty is larger.
+    """
+    one_phase = not _has_own_phases(fit)
+    names = tuple(n for n in SERVO_TERMS if n in candidates.order and (one_phase or n == "servo"))
+    wider = next((found for own in (names, names[:1]) if own and (found := candidates.refit(own))), {})
+    sizes = [wider[name] for name in names if name in wider]
+    own, square = fit.coefficients, candidates.squares[0]
+    shown = [c for c in sizes if _is_clear(c, len(sizes))]
+    if not sizes or not (shown or (square is not None and any(_is_clear(c) for c in own if c.name == "k3"))):
+        return ()
+    change = changes(own, values_of(own), values_of([wider[c.key] for c in own]))
+    change += np.copysign([math.sqrt(max(wider[c.key].std ** 2 - c.std**2, 0.0)) for c in own], change)
+    moved = ", ".join(
+        f"{c.key} {rounded(wider[c.key])} instead of {rounded(c)} {c.unit}".removesuffix(" 1")
+        for c in own
+        if c.name in ("scale_factor", "tan_beta", "phi") and c.segment is None
+    )
+    if square is not None and "servo" in (c.name for c in sizes):
+        by_k3 = wider["scale_factor"].value * (1.0 - wider["servo"].value * si_factor("servo") * square)
+        at = [c.key for c in own].index("scale_factor")
+        change[at] = max(change[at], by_k3 - own[at].value, key=abs)
+        moved += (
+            f" (with k3 in place of servo: {by_k3:.8g}; a run on a centrifuge, calibrated together, decides)"
+        )
+    words = (
+        f"the residuals show {', '.join(map(_in_words, shown))}, which the model lacks; with it: {moved}. The uncertainties "
+        f"cover this shift. Add {' and '.join(map(repr, SERVO_TERMS if one_phase else names))} to [model] terms"
+    )
+    return (LeftOut(LACKING_SOURCE, change, words if shown else ""),)
+
+
+def _has_own_phases(fit: JointFit) -> bool:
+    """True if the segments of a run have phases of their own, which take up a damping."""
+    return any(len(summary.labels) > 1 for summary in fit.summaries)
+
+
+def _is_clear(c: Coefficient, tests: int = 1) -> bool:
+    """True if it is not zero by chance, one of so many ``tests``."""
+    factor = coverage_factor(max(c.degrees_of_freedom, _FEWEST), 1.0 - _CLEAR / tests)
+    return abs(c.value) > factor * c.std
+
+
+def _in_words(c: Coefficient) -> str:
+    return f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}"
+
+
+def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+    """The servo that the records do not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
+
+    Without both, that of one run is listed with its effect, and has no size. The half-width is that of the 95 % limit, one-sided
+    because a stiffness is not negative, but at most that of the softest servo.
+    """
+    coefficients, square, unit = fit.coefficients, candidates.squares[0], si_factor("servo")
+    share, nothing = _softest_share(fit), np.zeros(len(coefficients))
+    if share < _NEGLIGIBLE:
+        return ()
+    names = ("servo",) if square is None else ("servo", "k3")
+    name = next((name for name in names if name in candidates.order), None)
+    if name is None or _is_hidden(fit, candidates):
+        listed = StandSource("servo", "unstated", "ug/g^3")
+        return (LeftOut(_UNNAMED_SOURCE, nothing, "", listed),) if fit.only else ()
+    test, of_scale = candidates.test((name,)), np.array([c.name == "scale_factor" for c in coefficients])
+    if test is None:
+        return (_bounded(np.where(of_scale, share * values_of(coefficients), 0.0), _SOFTEST, math.inf),)
+    moved = candidates.moved(test)
+    if name == "k3" and square is not None:
+        before = values_of(candidates.fit.coefficients)
+        moved = np.where(of_scale, (before + moved) * (1.0 + float(test.size[0]) * square) - before, moved)
+    moved[[c.name in _TURNED for c in coefficients]] = 0.0
+    std = max(float(test.std[0]), float(test.spread[0])) / unit
+    return (_bounded(moved, float(test.size[0]) / unit, std),)
+
+
+def _bounded(shift: Array, size: float, std: float, why: str = "") -> LeftOut:
+    """A servo that is not named: ``size`` with ``std`` [g/g^3] by the records; ``shift`` is what ``size`` changes.
+
+    ``why``: words in place of those on the limit.
+    """
+    limit = max(size, 0.0) + _ONE_SIDED * std
+    words = (
+        f"not named: the record excludes more than {1e6 * limit:.2g} ug/g^3"
+        if limit < _SOFTEST
+        else f"not named, and the record hardly tells it from K: up to {1e6 * _SOFTEST:.0f} ug/g^3 are assumed"
+    )
+    listed = StandSource("servo", "bounded" if limit < _SOFTEST else "assumed", reason=why or words)
+    return LeftOut(_UNNAMED_SOURCE, shift * (min(limit, _SOFTEST) / size), "", listed)
+
+
+def _softest_share(fit: JointFit) -> float:
+    """Relative change of K by the softest servo, from the records, or without any from the summaries; 0 without their columns."""
+    weighted, total = 0.0, 1e-300
+    for run in (live.run for live in fit.live if live):
+        for part in spans(run.size):
+            along = run.f[part, 0] ** 2
+            weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
+    names = ("scale_factor", STIFFNESS_COLUMNS[0])
+    for position in () if any(fit.live) else (p for summary in fit.summaries for p in summary.positions):
+        if {*names} <= {*position.part.names}:
+            force, bent = position.part.select(names).factor[:, :2].T
+            weighted, total = weighted + float(force @ bent), total + float(force @ force)
+    return _SOFTEST * si_factor("servo") * weighted / total
+
+
+def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
+    """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
+    named = {c.name: c for c in coefficients}
+    scale, k3 = named.get("scale_factor"), named.get("k3")
+    if scale is None or k3 is None:
+        return ()
+    shift = scale.value * k3.value * si_factor("k3") * square
+    moved = np.array([shift if c is scale else 0.0 for c in coefficients])
+    bounded = _bounded(
+        moved, k3.value, k3.std, "not named, and not told from k3 here: what k3 shows is covered"
+    )
+    covered = (
+        f"k3 may be the effect of the servo: scale_factor is {scale.value + shift:.8g} with servo and {scale.value:.8g} with k3 "
+        f"{scale.unit}, and its uncertainty covers both; a run on a centrifuge, calibrated together, decides"
+    )
+    return (replace(bounded, words=covered if _is_clear(k3) else ""),)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import piga
+from piga.calibration import advice
 from piga.calibration.model.request import make_request
-from piga.calibration.remarks import advice
 from piga.errors import PigaError
 from tests.calibration.made.scenarios import COUPLED, SCENARIOS, Scenario, around
 
