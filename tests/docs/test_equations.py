@@ -15,10 +15,10 @@ import pytest
 import piga
 from piga._kernels.compensation.terms import near_nyquist
 from piga._kernels.estimation import product_column
+from piga.calibration import missing_terms
 from piga.calibration.intervals import sandwich
 from piga.calibration.model.design import ServoState
 from piga.calibration.model.reduction import triangle
-from piga.calibration import missing_terms
 from piga.calibration.revolutions import ripple
 from piga.instrument.parameters import ErrorModel
 from piga.instrument.twin.linear import servo_terms

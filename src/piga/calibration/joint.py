@@ -87,6 +87,8 @@ class JointFit(MergedRuns):
 
     def moved(self, change: Array) -> Array:
         """Change of the coefficients (n,; file units) by a change of the internal parameters."""
+        if not change.any():
+            return np.zeros(len(self.coefficients))
         at, estimate, layout = self.estimate.amplitudes.size, self.estimate, self.layout
         amplitudes, phases = estimate.amplitudes + change[:at], estimate.phases + change[at:]
         if phases.size == 1:  # exact, by the column coefficients
