@@ -40,37 +40,38 @@ MOST_COMPILED = 93
 """Functions that the first calibration and compensation of the shipped record compile, parts of Numba included: 87."""
 
 
-def start(folder: Path, *words: str) -> subprocess.Popen[str]:
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(folder / "cache")}
-    return subprocess.Popen(
-        [sys.executable, "-c", COUNTED, *words], cwd=folder, env=environment, text=True, stdout=subprocess.PIPE
+def call(folder: Path, program: str, *words: str, **variables: str) -> tuple[str, str]:
+    """Output and messages of a process that runs in ``folder``; its kernels are kept in the folder ``cache`` there."""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(folder / "cache")} | variables
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env=environment,
     )
+    return done.stdout.strip(), done.stderr
 
 
-def compiled_by(process: subprocess.Popen[str]) -> list[str]:
-    out, _ = process.communicate()
-    assert process.returncode == 0
+def compiled_by(folder: Path, *words: str) -> list[str]:
+    out, messages = call(folder, COUNTED, *words)
+    assert "COMPILED" in out, messages
     names: list[str] = json.loads(out.rsplit("COMPILED", 1)[1])
     return names
 
 
 @pytest.mark.long
 def test_first_run_compiles_each_kernel_once(tmp_path: Path) -> None:
-    compiled = compiled_by(start(tmp_path, "demo", "--out", str(tmp_path / "demo")))
+    compiled = compiled_by(tmp_path, "demo", "--out", "demo")
     ours = [name for name in compiled if name.startswith("piga.")]
     assert len(ours) == len(set(ours)) > 10
     assert ours.count("piga._kernels.compensation.sample.compensate_record") == 1
     assert len(compiled) <= MOST_COMPILED
-    assert compiled_by(start(tmp_path, "demo", "--out", str(tmp_path / "again"))) == []
+    assert compiled_by(tmp_path, "demo", "--out", "again") == []
 
 
-PROGRAM = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import small
-print(small.twice(21.0))
-"""
-
+PROGRAM = "import sys, small; print(small.twice(21.0))\n"
 KERNEL = """
 from piga._kernels.jit import kernel
 
@@ -78,19 +79,6 @@ from piga._kernels.jit import kernel
 def twice(x):
     return 2.0 * x
 """
-
-
-def call(folder: Path, program: str = PROGRAM, **variables: str) -> tuple[str, str]:
-    """Output and messages of a process that uses the kernels of ``folder``; they are kept in its folder ``cache``."""
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "0", "NUMBA_CACHE_DIR": str(folder / "cache")} | variables
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
-    )
-    return done.stdout.strip(), done.stderr
 
 
 @pytest.mark.long
@@ -150,7 +138,7 @@ def test_no_folder_to_keep_kernels_in(tmp_path: Path) -> None:
     (tmp_path / "small.py").write_text(KERNEL)
     (tmp_path / "__pycache__").write_text("in the place of the folder")
     homes = {"HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "NUMBA_CACHE_DIR": ""}
-    assert call(tmp_path, **homes, PYTHONDONTWRITEBYTECODE="1") == ("42.0", "")
+    assert call(tmp_path, PROGRAM, **homes, PYTHONDONTWRITEBYTECODE="1") == ("42.0", "")
 
 
 @pytest.mark.long

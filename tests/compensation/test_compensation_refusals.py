@@ -14,7 +14,7 @@ import pytest
 
 import piga
 from piga.compensation import Mounted, Phase, SetCompensator, compensate_set
-from piga.compensation.sets import read_triad
+from piga.compensation.sets import orthogonal_triad, read_member, read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import orthogonal
@@ -180,6 +180,18 @@ def test_sets_of_records_that_do_not_fit() -> None:
         compensate_set(
             [*records[:2], run_of(np.append(T, 0.6), np.append(F, F[:1], axis=0), phi=0.3)], mounted()
         )
+
+
+def test_set_whose_times_differ_is_refused_by_name(tmp_path: Path) -> None:
+    runs = [write(tmp_path, f"{name}.parquet", rows=200) for name in "xyz"]
+    table = pa.parquet.read_table(tmp_path / "z.parquet")
+    late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
+    pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
+    mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
+    with pytest.raises(
+        piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
+    ):
+        compensate_set([read_member(path) for path in runs], mounted)
 
 
 def test_base_rate_of_some_instruments_of_a_set() -> None:

@@ -19,7 +19,8 @@ from piga.compensation import (
 from piga.compensation.model import FLAGS
 from piga.compensation.result import write_rows
 from piga.formats.columns import nulls_of, numbers_of
-from tests.compensation.run_files import CAL
+from tests.compensation.run_files import CAL, command, write
+from tests.compensation.triads import orthogonal
 from tests.compensation.twin_data import calibration_of, constant_force, run_of
 
 
@@ -86,3 +87,18 @@ def test_what_cannot_be_resampled_is_refused():
             Resampler(period)
     given = Resampler(0.03).push_rows(rows_of(0.01 * np.arange(8), np.ones(8)))["dv"]
     np.testing.assert_allclose(given, [4.0, 3.0])  # the first sample's goes out with the three behind it
+
+
+def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
+    words = [write(tmp_path, f"{name}.parquet", axes=orthogonal()[i]) for i, name in enumerate("xyz")]
+    for name in "xyz":
+        words += ["--calibration", tmp_path / f"{name}.json"]
+    for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):
+        code, _, text = command(monkeypatch, capsys, *words, "--out", tmp_path / f"{name}.parquet", *more)
+        assert code == 0, text
+    fine, slow = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
+    assert slow.column_names == ["t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "flags"]
+    last = np.searchsorted(fine["t"].to_numpy(), slow["t"].to_numpy()[-1] - 1e-9)
+    for axis in ("dvx", "dvy", "dvz"):
+        total = np.cumsum(fine[axis].to_numpy())[last]
+        assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12

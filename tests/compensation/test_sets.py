@@ -6,16 +6,12 @@ from dataclasses import replace
 
 import numba
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 import pytest
 
 import piga
 from piga.compensation import SetCompensator, compensate_set
-from piga.compensation.sets import orthogonal_triad, read_member
 from piga.terms import PRODUCTS
 from piga.units import G0
-from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import SKEWED, made, orthogonal, rotation
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of
 
@@ -181,33 +177,3 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     runs, mounted = made(t, f, orthogonal(), errors={name: 0.02})
     error = compensate_set(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
     assert np.abs(error[2:10]).max() < 3e-6 * G0
-
-
-# --- by their files
-
-
-def test_set_whose_times_differ_is_refused_by_name(tmp_path):
-    runs = [write(tmp_path, f"{name}.parquet", rows=200) for name in "xyz"]
-    table = pa.parquet.read_table(tmp_path / "z.parquet")
-    late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
-    pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
-    mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
-    with pytest.raises(
-        piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
-    ):
-        compensate_set([read_member(path) for path in runs], mounted)
-
-
-def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
-    words = [write(tmp_path, f"{name}.parquet", axes=orthogonal()[i]) for i, name in enumerate("xyz")]
-    for name in "xyz":
-        words += ["--calibration", tmp_path / f"{name}.json"]
-    for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):
-        code, _, text = command(monkeypatch, capsys, *words, "--out", tmp_path / f"{name}.parquet", *more)
-        assert code == 0, text
-    fine, slow = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
-    assert slow.column_names == ["t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "flags"]
-    last = np.searchsorted(fine["t"].to_numpy(), slow["t"].to_numpy()[-1] - 1e-9)
-    for axis in ("dvx", "dvy", "dvz"):
-        total = np.cumsum(fine[axis].to_numpy())[last]
-        assert abs(np.cumsum(slow[axis].to_numpy())[-1] - total) < 1e-12
