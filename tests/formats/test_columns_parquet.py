@@ -9,7 +9,7 @@ from pyarrow import parquet
 
 import piga
 from piga.formats.columns import ParquetStream, write_residuals, write_run_parquet
-from tests.records.calibration.test_verdict import TERMS, rate_log
+from tests.records.calibration.test_diagnostics_verdict import TERMS, rate_log
 
 
 def test_residuals_of_a_rate_log_are_rates_beside_an_angle(tmp_path: Path) -> None:
