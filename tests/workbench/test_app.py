@@ -102,16 +102,8 @@ def test_policies_of_pages_and_of_reports(client: Client) -> None:
 
 def test_uploads_get_a_plain_free_name(client: Client, server: Server) -> None:
     origin = {"Origin": f"http://127.0.0.1:{client.port}"}
-    for wanted in (
-        "log.csv",
-        "log.csv",
-        "../../up.csv",
-        "C:\\data\\messung 1.csv",
-        ".hidden.csv",
-        "ключ<b>.csv",
-    ):
-        status, _, body = client.ask(f"/upload?name={wanted.encode().hex()}.csv", "POST", b"t,x\n0,1\n", origin)
-        assert status == 200
+    hostile = ("log.csv", "log.csv", "../../up.csv", "C:\\data\\messung 1.csv", ".hidden.csv", "ключ<b>.csv")
+    for wanted in hostile:
         status, _, body = client.ask(f"/upload?name={quote(wanted)}", "POST", b"t,x\n0,1\n", origin)
         assert status == 200
         name = json.loads(body)["name"]
@@ -161,9 +153,16 @@ def test_forms_that_are_none(client: Client) -> None:
         b"a" * 100,
         b"do=nonsense",
         b"do=set&key=model.terms&value=__import__('os')",
-        b"do=again&index=-1",
+        b"x=1&" * 3000,
     ]
-    for body in (*bodies, b"do=leave&from=nan&to=inf&reason=x", b"x=1&" * 3000, b""):
+    for body in (
+        *bodies,
+        b"do=again&index=-1",
+        b"do=leave&from=nan&to=inf&reason=x",
+        b"do=leave",
+        b"do=set",
+        b"",
+    ):
         status, _, answer = client.ask("/record/tumble-a.toml", "POST", body, origin)
         assert status == 422, body[:40]
         assert b"Traceback" not in answer
@@ -222,20 +221,6 @@ def test_what_is_no_folder_or_port(tmp_path: Path) -> None:
     (tmp_path / ".piga-ui").symlink_to(tmp_path.parent)
     with pytest.raises(OutsideError, match="piga-ui"):
         Folder(tmp_path).state_room()
-
-
-def test_what_is_gone_names_what_to_do_instead(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from piga.cli.main import main
-
-    gone = {"--host bench": "ssh -L", "--tls cert key": "reverse proxy", "--live cal.json": "piga compensate -"}
-    for options, instead in gone.items():
-        monkeypatch.setattr("sys.argv", ["piga", "ui", str(tmp_path), "--no-browser", *options.split()])
-        with pytest.raises(SystemExit) as end:
-            main()
-        assert end.value.code == 2
-        assert instead in capsys.readouterr().err
 
 
 def test_browsers_leave_port_80_out() -> None:

@@ -45,9 +45,8 @@ def test_what_is_refused(written: str, unit: str, like: str, words: str) -> None
 
 
 def test_a_field_keeps_what_was_typed_and_says_why_it_is_refused() -> None:
-    field = Field("hours", like="s", units=("s", "h"), example="2130 s", needed=True)
+    field = Field("hours", like="s", units=("s", "h"))
     assert field.with_sent({"hours": "2,5", "u:hours": "h"}).value == "2.5 h"
     bare = field.with_sent({"hours": "2.5"})
     assert (bare.typed, bare.refusal.partition(".")[0]) == ("2.5", "The unit is missing")
-    assert field.with_sent({"hours": " "}).refusal == "This is needed. E.g. 2130 s."
     assert not Field("phase", like="rad").with_sent({}).refusal

@@ -93,7 +93,7 @@ def test_a_fit_that_no_page_asks_for_ends_and_comes_again(
         left.asked = other.asked = time.time() - LAPSE - 1.0
         jobs.attend(shown)
         assert (left.was_stopped, shown.was_stopped, other.was_stopped) == (True, False, False)
-        assert jobs.latest(NAME, "a") is None  # the page that comes back starts it anew
+        assert left.place.name not in jobs.by_key  # the page that comes back starts it anew
     finally:
         jobs.stop_all()
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from piga.errors import ArgumentError
 from piga.records import Run
 from piga.records.run_file import read_run_file
+from piga.units import G0
 from piga.workbench import signals
 from piga.workbench.signals import Outline, picture, read_outline, write_envelopes
 from tests.workbench.conftest import entered, memory, wait_until
@@ -68,8 +69,7 @@ def test_no_peak_is_lost_and_none_invented(
     run = record(size, sorted({gap for gap in gaps if gap < size}))
     cache = tmp_path_factory.mktemp("envelopes") / "a-1"
     outline = write(run, cache)
-    (signal,) = (one for one in outline.signals if one.key == key)
-    values = signal.factor * (run.output if key == "output" else run.f[:, "XYZ".index(key[1])])
+    values = 0.5 / np.pi * run.output if key == "output" else 1.0 / G0 * run.f[:, "XYZ".index(key[1])]
     first, last = sorted(end * outline.duration for end in ends)
     if first == last:
         return
@@ -110,7 +110,7 @@ def test_the_difference_is_the_angle_minus_what_k_makes_of_the_force(tmp_path: P
     """By the trapezoidal rule from sample to sample, anew in each stretch."""
     run = record(3000, [1000, 2001])
     write(run, tmp_path / "a-1")
-    shown = np.load(tmp_path / "a-1" / "columns.npy")[1]
+    shown = np.radians(np.load(tmp_path / "a-1" / "1.npy"))
     value = 0.0
     for index in range(1, run.size):
         step = run.t[index] - run.t[index - 1]
@@ -155,7 +155,7 @@ def test_temperature_is_shown_in_the_unit_of_the_record(tmp_path: Path) -> None:
     for name, unit in (("a-1", "degC"), ("b-1", "K")):
         (signal,) = (s for s in write(run, tmp_path / name, unit).signals if s.key == "temperature")
         assert read_outline(tmp_path / name).signals[-1] == signal  # type: ignore[union-attr]
-        shown[signal.unit] = kelvin * signal.factor + signal.offset
+        shown[signal.unit] = np.load(tmp_path / name / "5.npy")
     assert list(shown) == ["°C", "K"]
     assert shown["°C"] == pytest.approx(20.0 + t)
     assert shown["K"] == pytest.approx(kelvin)

@@ -38,7 +38,6 @@ from piga.workbench import common, later, record
 from piga.workbench.common import Bench, error_page
 from piga.workbench.folder import Folder
 
-ROUTES = [route for page in (common, record, later) for route in page.ROUTES]
 _MOST_CONNECTIONS = 300
 """Connections at a time; a request beyond is answered with 503. Each may hold a socket and a file, and a process usually
 may have 1024 of them."""
@@ -143,7 +142,6 @@ class Guard:
             await (self._refusal(HTTPConnection(scope)) or self._app)(scope, receive, sent)
 
     def _refusal(self, asked: HTTPConnection) -> Response | None:
-        """The answer to a request that may not pass; None if it may."""
         door, headers = self._door, asked.headers
         path, method = asked.scope["path"], asked.scope["method"]
         is_safe = method in ("GET", "HEAD")
@@ -184,7 +182,7 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
         words = f"port {port} cannot be used ({getattr(error, 'strerror', error)})"
         raise ArgumentError(words, remedy="choose another, or leave --port out") from None
     door = Door(listener.getsockname()[1], str(opened.root))
-    for room in ("parts", "trials"):  # of a server that was killed
+    for room in ("parts", "trials", "signals"):  # of a server that was killed, or of a stranger
         shutil.rmtree(opened.state_room(room), ignore_errors=True)
     bench = Bench(opened)
 
@@ -196,7 +194,8 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
 
     kinds = (PigaError, HTTPException, OSError, ClientDisconnect, Exception)
     handlers: dict[Any, Any] = dict.fromkeys(kinds, error_page)
-    app = Starlette(routes=ROUTES, lifespan=lifespan, exception_handlers=handlers)
+    routes = [*common.ROUTES, *record.ROUTES, *later.ROUTES]
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
     app.state.bench = bench
     server = uvicorn.Server(
         uvicorn.Config(

@@ -1,4 +1,4 @@
-"""What all pages use: the opened folder, jobs, templates, forms, fields with units, files, errors."""
+"""What all pages use: the opened folder, jobs and their pages, templates, forms, fields with units, files, errors."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import re
 import secrets
+import shlex
 import shutil
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, Literal, TypeVar, cast
 from urllib.parse import parse_qsl, quote
 
 from starlette.concurrency import run_in_threadpool
@@ -30,9 +31,11 @@ from starlette.staticfiles import StaticFiles
 
 from piga._version import __version__
 from piga.errors import ArgumentError, PigaError, UnitError
+from piga.reports.render.figure import css_variables
 from piga.reports.render.numbers import count, pretty_unit, rounded, shown_output, significant
+from piga.reports.render.page import resource
 from piga.units import to_si
-from piga.workbench.folder import TRIALS, Folder, History
+from piga.workbench.folder import TRIALS, Folder, History, OutsideError
 
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "
@@ -45,10 +48,9 @@ LAPSE = 3.0
 """Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record."""
 FIT = "Fit"
 """Title of the fits of a record."""
-_PATIENCE, _LAST_PATIENCE = 2.0, 1.0
-"""Time [s] that a stopped job has to end by itself, and when the server ends."""
-_MOST_TEXT = 200_000
-"""Bytes of printed text that a page shows."""
+_PATIENCE = 1.0
+"""Time [s] that a stopped job has to end by itself."""
+Made = TypeVar("Made")
 Sent = dict[str, str]
 """The fields of a sent form; none when its page is opened."""
 
@@ -74,11 +76,6 @@ class Job:
     was_stopped: bool = False
 
     @property
-    def key(self) -> str:
-        """Name of its folder, and of its page."""
-        return self.place.name
-
-    @property
     def state(self) -> Literal["running", "done", "failed", "stopped"]:
         """What became of it."""
         code = self.child.poll()
@@ -94,12 +91,15 @@ class Job:
             return dict(json.loads((self.place / "progress").read_text(encoding="utf-8")))
         return {"what": "", "share": None}
 
+    @property
+    def fault(self) -> str:
+        """Why there is no result; "" while it runs, and when it is done."""
+        is_over = self.state in ("failed", "stopped")
+        return (self.text("err").removeprefix("piga: ") or "It was stopped.") if is_over else ""
+
     def text(self, name: Literal["out", "err"]) -> str:
-        """What it printed on standard output or standard error (the last part of a long text)."""
-        with suppress(OSError), (self.place / name).open("rb") as stream:
-            stream.seek(max(stream.seek(0, os.SEEK_END) - _MOST_TEXT, 0))
-            return stream.read().decode("utf-8", "replace")
-        return ""
+        """What it printed on standard output or standard error."""
+        return (self.place / name).read_text("utf-8", "replace")
 
 
 class Jobs:
@@ -149,16 +149,23 @@ class Jobs:
             job.started = job.asked = time.time()
             job.input.write(json.dumps(command).encode() + b"\n")
             job.input.flush()
-            self.by_key[job.key] = job
+            self.by_key[job.place.name] = job
             return job
 
     def all(self) -> list[Job]:
         """All jobs, the newest first."""
         return list(reversed(list(self.by_key.values())))
 
-    def latest(self, subject: str, result: str) -> Job | None:
-        """The newest job for a record that makes this result, or None."""
-        return next((job for job in self.all() if (job.subject, job.result) == (subject, result)), None)
+    def made(
+        self, read: Callable[[], Made | None], command: Sequence[str], title: str, subject: str, result: str
+    ) -> tuple[Made | None, Job | None]:
+        """A result, as ``read`` gives it; or the newest job for the record that makes it, or that failed."""
+        job = next((one for one in self.all() if (one.subject, one.result) == (subject, result)), None)
+        is_open = job is not None and job.state != "done"
+        made = read()  # after the state: the job may end meanwhile
+        if made is not None:
+            return made, None
+        return None, job if is_open else self.start(command, title, subject, result)
 
     def attend(self, job: Job) -> None:
         """A page waits for this job. Fits of the same record that no page waits for any more are ended and forgotten."""
@@ -166,15 +173,15 @@ class Jobs:
         for other in self.all():
             is_fit = (other.title, other.subject) == (FIT, job.subject) and other.state == "running"
             if is_fit and now - other.asked > LAPSE:
-                self.stop(other, patience=0.0)
+                self.stop(other)
                 self.forget(other)
 
-    def stop(self, *jobs: Job, patience: float = _PATIENCE) -> None:
+    def stop(self, *jobs: Job) -> None:
         """End running jobs. Their results are then absent, as after Ctrl-C in a terminal."""
         for job in jobs:
             job.was_stopped |= job.child.poll() is None
             job.input.close()
-        limit = time.monotonic() + patience
+        limit = time.monotonic() + _PATIENCE
         for job in jobs:
             with suppress(subprocess.TimeoutExpired):
                 job.child.wait(max(limit - time.monotonic(), 0.0))
@@ -185,13 +192,13 @@ class Jobs:
 
     def stop_all(self) -> None:
         """End all running jobs and remove what they printed (when the server ends)."""
-        self.stop(self._spare, *self.all(), patience=_LAST_PATIENCE)
+        self.stop(self._spare, *self.all())
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def forget(self, job: Job) -> None:
         """Remove a job that has ended."""
         if job.state != "running":
-            self.by_key.pop(job.key, None)
+            self.by_key.pop(job.place.name, None)
             shutil.rmtree(job.place, ignore_errors=True)
 
 
@@ -222,7 +229,7 @@ def _moment(seconds: float) -> str:
 
 
 @lru_cache(maxsize=1)
-def templates() -> Any:
+def _templates() -> Any:
     """The templates. Every value is escaped."""
     import jinja2
 
@@ -230,14 +237,8 @@ def templates() -> Any:
         loader=jinja2.PackageLoader("piga.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    made.filters |= {
-        "unit": pretty_unit,
-        "count": count,
-        "moment": _moment,
-        "sentence": sentence,
-        "path": quote,
-    }
-    made.filters["number"] = lambda value, digits=4: significant(value, digits)
+    made.filters |= {"unit": pretty_unit, "count": count, "moment": _moment, "sentence": sentence}
+    made.filters |= {"path": quote, "number": lambda value, digits=4: significant(value, digits)}
     made.globals |= {"rounded": rounded, "version": __version__, "output_unit": shown_output}
     return made
 
@@ -247,12 +248,7 @@ def render(request: Request, page: str, title: str, code: int = 200, **values: A
     bench = bench_of(request)
     shared = {"folder": bench.folder.root.name, "undo": bench.history.last, "at": request.url.path}
     shared |= {"page": f"{page}.html.jinja", "title": title}
-    return HTMLResponse(templates().get_template("frame.html.jinja").render(shared | values), status_code=code)
-
-
-def redirect(to: str) -> Response:
-    """Go to another page."""
-    return RedirectResponse(to, status_code=303)
+    return HTMLResponse(_templates().get_template("frame.html.jinja").render(shared | values), status_code=code)
 
 
 def start(request: Request, command: Sequence[str], title: str, subject: str, result: str = "") -> Response:
@@ -260,7 +256,7 @@ def start(request: Request, command: Sequence[str], title: str, subject: str, re
     bench = bench_of(request)
     if result and not result.startswith(TRIALS):
         bench.folder.path(result)  # nothing is written through a link
-    return redirect(f"/jobs/{bench.jobs.start(command, title, subject, result).key}")
+    return RedirectResponse(f"/jobs/{bench.jobs.start(command, title, subject, result).place.name}", 303)
 
 
 def _file(request: Request) -> Response:
@@ -328,7 +324,7 @@ class Field:
 
     ``typed``, ``unit`` and ``refusal`` are what was typed, the chosen unit, and why the entry is refused. ``like`` is a unit of
     the kind that a quantity has ("": a text), ``units`` are those of its menu. ``choices`` are values and words of a menu,
-    ``rows`` the lines of a longer text.
+    ``rows`` the lines of a longer text, ``css`` its class on the page.
     """
 
     key: str
@@ -343,14 +339,13 @@ class Field:
     choices: tuple[tuple[str, str], ...] = ()
     rows: int = 0
     needed: bool = False
+    css: str = ""
 
     def with_sent(self, sent: Sent) -> Field:
         """The field with what was typed, and why it is refused."""
         typed = sent.get(self.key, self.typed).strip()
         made = replace(self, typed=typed, unit=sent.get(f"u:{self.key}", ""))
         try:
-            if not typed and self.needed:
-                raise ArgumentError("this is needed", remedy=f"e.g. {self.example}")
             _ = made.value
         except PigaError as error:
             return replace(made, refusal=in_line(error))
@@ -378,8 +373,65 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
     return text
 
 
+def _job_of(request: Request) -> tuple[Bench, Job]:
+    bench = bench_of(request)
+    job = bench.jobs.by_key.get(request.path_params["key"])
+    if job is None:
+        raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
+    return bench, job
+
+
+def _show_jobs(request: Request) -> Response:
+    return render(request, "jobs", "Jobs", jobs=bench_of(request).jobs.all())
+
+
+def _show_job(request: Request) -> Response:
+    bench, job = _job_of(request)
+    state, line = job.state, f"piga {shlex.join(job.command)}"
+    files = _result_files(bench, job) if state == "done" else []
+    return render(request, "job", f"{job.title} {job.subject}", job=job, state=state, line=line, files=files)
+
+
+def _progress(request: Request) -> Response:
+    """How far a job is; pages ask every 0.4 s. When it has ended, the part that waits for it asks for itself again."""
+    bench = bench_of(request)
+    job = bench.jobs.by_key.get(request.path_params["key"])
+    if job is None or job.state != "running":
+        return Response(headers={"hx-trigger": "ended"})
+    bench.jobs.attend(job)
+    return HTMLResponse(_templates().get_template("progress.html.jinja").render(job=job))
+
+
+def _stop_job(request: Request) -> Response:
+    """Stop a job; one that has ended is forgotten, so that its page asks for it again."""
+    bench, job = _job_of(request)
+    bench.jobs.stop(job) if job.state == "running" else bench.jobs.forget(job)
+    return RedirectResponse(request.headers.get("referer") or "/jobs", 303)
+
+
+def _result_files(bench: Bench, job: Job) -> list[str]:
+    """The files that a job wrote: those of its folder, or its file and the page beside it."""
+    if not job.result:
+        return []
+    place = bench.folder.root / job.result
+    files = sorted(place.iterdir()) if place.is_dir() else [place, place.with_suffix(".html")]
+    return [bench.folder.name(path) for path in files if path.is_file() and not path.name.startswith(".")]
+
+
+def _page_css(_request: Request) -> Response:
+    """The style of the reports: the colours, light and dark, and text, tables, notices."""
+    light, dark = (f":root {{ {css_variables(dark=dark)} }}\n" for dark in (False, True))
+    sheet = f"{light}@media screen and (prefers-color-scheme: dark) {{ {dark} }}\n{resource('templates', 'page.css')}"
+    return Response(sheet, media_type="text/css")
+
+
 ROUTES = [
     Route("/healthz", lambda _request: PlainTextResponse("ok\n")),
     Route("/file/{name:path}", _file),
+    Route("/jobs", _show_jobs),
+    Route("/jobs/{key}", _show_job),
+    Route("/jobs/{key}/progress", _progress),
+    Route("/jobs/{key}/stop", _stop_job, methods=["POST"]),
+    Route("/assets/page.css", _page_css),
     Mount("/assets", StaticFiles(packages=[("piga.workbench", "assets")])),
 ]

@@ -23,6 +23,7 @@ from piga.errors import ArgumentError, PigaError
 from piga.formats.container import CONTAINERS, TEXT_SUFFIXES, file_kind
 from piga.output import write_whole
 from piga.records.calibration.calibration import Calibration
+from piga.records.calibration.diagnostics import scale_over_nominal
 from piga.records.calibration.document import calibration_from_bytes
 from piga.records.run_file import read_run_file
 from piga.text_files import MAX_NAME, files_named_in, texts_of, toml_document
@@ -77,15 +78,14 @@ class Kept:
 class Entry:
     """A record: the name of its run file below the folder, or that of a log that no run file describes (state ``log``).
 
-    Other states are ``faulty`` (the run file cannot be used, see ``message``) and ``ready``. ``log``, ``size`` [bytes] and
-    ``changed`` [s since 1970] are those of the data file. ``kept`` are its calibrations, the newest first.
+    Other states are ``faulty`` (the run file cannot be used, see ``message``) and ``ready``. ``log`` is its data file,
+    ``changed`` [s since 1970] the time of that. ``kept`` are its calibrations, the newest first.
     """
 
     name: str
     state: str
     serial: str = ""
     log: str = ""
-    size: int = 0
     changed: float = 0.0
     message: str = ""
     kept: tuple[Kept, ...] = ()
@@ -217,8 +217,7 @@ class Folder:
             mine = tuple(one for one in kept if one.record == self.name(results_of(path)))
             data, more = path.parent / entry.log, dict[str, Any]()
             if entry.log and _is_regular(data):
-                status = data.stat()
-                more = {"size": status.st_size, "changed": status.st_mtime}
+                more = {"changed": data.stat().st_mtime}
             elif entry.state == "ready":
                 words = f"{entry.log}: there is no such file beside the run file\n  remedy: copy it there"
                 more = {"state": "faulty", "message": words}
@@ -258,16 +257,14 @@ class Folder:
             made = calibration_from_bytes(self.read(path), path)
         except PigaError:
             return None
-        named, nominal = {one.name: one for one in made.coefficients}, made.scale_factor_nominal * G0
-        one = named.get("scale_factor") or named.get("k1")
-        if one is None:
+        stds, nominal = {one.name: one.std for one in made.coefficients}, made.scale_factor_nominal * G0
+        u = stds["scale_factor"] / nominal if "scale_factor" in stds else stds.get("k1")  # both relative
+        if u is None:
             return None
-        size, unit = (1.0, one.unit) if one.name == "scale_factor" else (nominal, f"{made.unit}/g")
-        K, u = size * (one.value + (one.name == "k1")), size * one.std  # k1 is relative
-        name = self.name(path.parent)
+        name, ratio, unit = self.name(path.parent), scale_over_nominal(made), f"{made.unit}/g"
         record, number = _VERSION.fullmatch(name).groups()  # type: ignore[union-attr]
-        ppm, u_ppm = 1e6 * (K / nominal - 1.0), 1e6 * u / nominal
-        return Kept(name, made, made.provenance.created[:19], K, u, unit, ppm, u_ppm, record, -int(number or 0))
+        shown = nominal * ratio, nominal * u, unit, 1e6 * (ratio - 1.0), 1e6 * u
+        return Kept(name, made, made.provenance.created[:19], *shown, record, -int(number or 0))
 
     def _once(self, read: Callable[[Path], Any], path: Path) -> Any:
         """What was read from a file, read again only if the file has changed."""
@@ -331,8 +328,7 @@ class ChangedError(ArgumentError):
 class History:
     """Undo for one folder, and what a page saw of a file before it changed it.
 
-    Each change is its words and its steps: a path, and where its former content lies in ``.piga-ui/trash``. The list of changes
-    is that of this server.
+    Each change is its words, a path, and where its former content lies. The list of changes is that of this server.
     """
 
     def __init__(self, folder: Folder) -> None:
@@ -346,16 +342,14 @@ class History:
         """What Undo takes back, in words; "" if there is nothing."""
         return self._changes[-1][0] if self._changes else ""
 
-    def note(self, words: str, path: Path, former: Path | None) -> None:
-        """A file or folder was changed; ``former`` is where its former content lies."""
+    def put(self, path: Path, part: Path | None, words: str, older: Path | None = None) -> None:
+        """Put a folder in its place, or none. What is there moves to ``older``, or to the trash."""
+        former = path.rename(older or self._trash(path)) if path.exists() else None
+        if part is not None:
+            part.rename(path)
         self._changes.append((words, path, former))
 
-    def put_away(self, path: Path) -> Path | None:
-        """Move a file or folder to the trash; None if there is none."""
-        path = self._folder.path(self._folder.name(path))
-        return path.rename(self._place_for(path)) if path.exists() else None
-
-    def _place_for(self, path: Path) -> Path:
+    def _trash(self, path: Path) -> Path:
         return self._folder.state_room("trash") / f"{secrets.token_hex(6)}-{path.name[-80:]}"
 
     def undo(self) -> None:
@@ -364,10 +358,8 @@ class History:
             if not self._changes:
                 raise ArgumentError("there is nothing to undo", remedy="reload the page")
             _, path, former = self._changes.pop()
-            if (
-                former is None or former.is_dir()
-            ):  # a file is replaced at once: a page may ask for it at any time
-                self.put_away(path)
+            if path.exists() and (former is None or former.is_dir()):  # a file is replaced at once
+                path.rename(self._trash(path))
             if former is not None:
                 former.replace(path)
 
@@ -395,7 +387,7 @@ class History:
                 read_run_file(path, raw)
             former = None
             if before is not None:
-                former = self._place_for(path)
+                former = self._trash(path)
                 former.write_bytes(before)
             write_whole(path, lambda part: part.write_bytes(raw), replace=before is not None)
-            self.note(words, path, former)
+            self._changes.append((words, path, former))

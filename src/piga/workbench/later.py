@@ -1,21 +1,18 @@
 """What comes after a calibration: certificate, compensation, the plan of the next test.
 
-Also any TOML file as text with the commands that run it, jobs (how far they are, what they printed and wrote; stop one), and
-the regimes of the motion under constant input.
+Also any TOML file as text with the commands that run it, and the regimes of the motion under constant input.
 """
 
 from __future__ import annotations
 
 import secrets
-import shlex
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from piga.certificate.certificate_file import missing_items, read_certificate_file
@@ -28,35 +25,17 @@ from piga.reports import page_html
 from piga.reports.stand import constant_input_page
 from piga.text_files import toml_document, toml_text, toml_value
 from piga.units import to_si
-from piga.workbench.common import (
-    REPORT_POLICY,
-    Bench,
-    Field,
-    Job,
-    Sent,
-    bench_of,
-    redirect,
-    render,
-    route,
-    start,
-    templates,
-)
+from piga.workbench.common import REPORT_POLICY, Bench, Field, Sent, bench_of, render, route, start
 from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError, plain_name
-from piga.workbench.record import kept_of, left
+from piga.workbench.record import in_words, kept_of, left
 
 _PLAN = "plan-dividing-head.toml"
 """Example that a plan begins with. Plans for other stands are written as text."""
 
 
 def _form(
-    request: Request,
-    title: str,
-    words: str,
-    groups: Mapping[str, list[tuple[Field, str]]],
-    code: int = 200,
-    **more: Any,
+    request: Request, title: str, words: str, groups: dict[str, list[Field]], code: int = 200, **more: Any
 ) -> Response:
-    """The page of a form: its fields by group, each with its class."""
     shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
     usual = {"method": "post", "hidden": {}, "lamp": None, "buttons": {"": title}, "link": "", "shown": ""}
     return render(request, "form", title, code, words=words, groups=groups, **shown, **(usual | more))
@@ -75,30 +54,29 @@ CERTIFICATE = "certificate.toml"
 _EXAMPLE = _entries(toml_document(Path(CERTIFICATE), example_files()[CERTIFICATE]))
 """The entries that the form asks for, with the values of the example."""
 _LISTS = {key: value[0] for key, value in _EXAMPLE.items() if isinstance(value, list)}
-_COLUMNS = {key: tuple(part) for key, part in _LISTS.items() if isinstance(part, dict)}
-"""First part of each list, and the keys of the lists of tables."""
+"""First part of each list: a text, or a table."""
 _MADE_LATER = ("[certificate] issued", "[adjustment] before")
 """What may be missing here: the command takes today, and a file that the form does not show."""
 
 
 def _shown(key: str, value: Any) -> str:
-    """An entry as it is typed; the parts of a list have a line each."""
-    if key in _COLUMNS:
-        value = ["; ".join(row.get(one, "") for one in _COLUMNS[key]).rstrip("; ") for row in value]
-    if isinstance(value, list):
-        return "\n".join(value)
+    """An entry as it is typed; the parts of a list have a line each, the cells of a table a semicolon between them."""
+    if key in _LISTS:
+        rows = (
+            row if isinstance(row, str) else "; ".join(row.get(one, "") for one in _LISTS[key]) for row in value
+        )
+        return "\n".join(row.rstrip("; ") for row in rows)
     return value if isinstance(value, str) else toml_value(value)
 
 
 def _typed(key: str, text: str) -> Any:
     """A typed entry as the file has it. A date is written as text, too."""
-    if key not in _LISTS:
-        return {"true": True, "false": False}.get(text, text)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    if (columns := _COLUMNS.get(key)) is None:
-        return lines
-    rows = [map(str.strip, line.split(";", len(columns) - 1)) for line in lines]
-    return [{one: cell for one, cell in zip(columns, row, strict=False) if cell} for row in rows]
+    first = _LISTS.get(key)
+    if isinstance(first, dict):
+        rows = ([cell.strip() for cell in line.split(";", len(first) - 1)] for line in lines)
+        return [{one: cell for one, cell in zip(first, row, strict=False) if cell} for row in rows]
+    return {"true": True, "false": False}.get(text, text) if first is None else lines
 
 
 def _document(document: dict[str, Any], entries: dict[str, Any]) -> str:
@@ -166,31 +144,30 @@ def _certificate(request: Request, sent: Sent) -> Response:
         command += ["--dcc"] if sent.get("dcc") else []
         issue = ("certificate", "issue", f"{kept.name}/{CALIBRATION}", *command)
         return start(request, issue, "Certificate", kept.name, command[3])
-    groups: dict[str, list[tuple[Field, str]]] = {}
+    groups: dict[str, list[Field]] = {}
     places, marked = {place.path: place for place in places_of("certificate")}, set[str]()
     for key, example in _EXAMPLE.items():
         table, _, last = key.rpartition(".")
+        first, fault = _LISTS.get(key), _fault(key, missing)
         kinds = [one.strip('"') for one in places[key].kind.split(" | ")]
-        choices = (("", "\u2013"), *zip(kinds, kinds, strict=True)) if len(kinds) > 1 else ()
-        note = f"One line each: {'; '.join(_COLUMNS[key])}." if key in _COLUMNS else places[key].words.sentence
-        rows = 5 if key in _COLUMNS else 2 if key in _LISTS else 0
-        fault = _fault(key, missing)
-        marked.add(fault)
         field = Field(
-            key, last.replace("_", " "), _shown(key, example), note, values[key], refusal=fault if sent else "",
-            choices=choices, rows=rows,
+            key, last.replace("_", " "), _shown(key, example), typed=values[key], refusal=fault if sent else "",
+            note=f"One line each: {'; '.join(first)}." if isinstance(first, dict) else places[key].words.sentence,
+            choices=(("", "\u2013"), *zip(kinds, kinds, strict=True)) if len(kinds) > 1 else (),
+            rows=0 if first is None else 2 if isinstance(first, str) else 5, css="missing" if fault else "",
         )  # fmt: skip
-        groups.setdefault(table or key, []).append((field, "missing" if fault else ""))
+        marked.add(fault)
+        groups.setdefault(table or key, []).append(field)
     note = "To sign it, add --key KEY.pem --certificate CERT.pem to the command that the next page shows."
-    dcc = Field("dcc", "also as digital certificate (DCC)", note=note, choices=(("", "no"), ("1", "yes")))
-    groups["digital certificate"] = [(dcc, "")]
-    first = "An entry that is missing is marked below." if missing else "The certificate can be issued."
-    reasons = "\n".join([first, *(one for one in missing if one not in marked)])
+    dcc = Field("dcc", "as digital certificate too (DCC)", note=note, choices=(("", "no"), ("1", "yes")))
+    groups["certificate"].append(dcc.with_sent(sent))
+    advice = "An entry that is missing is marked below." if missing else "The certificate can be issued."
+    words = f"{in_words(kept)}, made {kept.created[:10]}. Each entry must be your own; the grey words are an example."
     state = ("amber", f"DRAFT: {len(missing)} to settle") if missing else ("green", "Complete")
-    words = f"Calibration of {kept.created[:10]}. Each entry must be your own; the grey words are an example."
     return _form(
         request, f"Certificate of {kept.calibration.serial}", words, groups, 422 if sent else 200,
-        lamp=(*state, reasons), hidden={"seen": seen}, buttons={"draft": "See the draft", "issue": "Issue"},
+        hidden={"seen": seen}, buttons={"draft": "See the draft", "issue": "Issue"},
+        lamp=(*state, "\n".join([advice, *(one for one in missing if one not in marked)])),
     )  # fmt: skip
 
 
@@ -201,7 +178,7 @@ def _asked(
     field = field.with_sent(sent) if sent else field
     if sent and not field.refusal:
         return field.value
-    return _form(request, title, words, {"": [(field, "")]}, 422 if sent else 200, link=link)
+    return _form(request, title, words, {"": [field]}, 422 if sent else 200, link=link)
 
 
 def _compensation(request: Request, sent: Sent) -> Response:
@@ -293,60 +270,14 @@ def _text(request: Request, sent: Sent) -> Response:
 
 def _run(request: Request, name: str, word: str, commands: tuple[str, ...]) -> Response:
     if word == "save":
-        return redirect(f"/text?file={name}")
+        return RedirectResponse(f"/text?file={name}", 303)
     if word not in commands:
         raise ArgumentError(f"{word[:40]!r}: is not a command for this file", remedy="use the buttons")
     folder, words = bench_of(request).folder, word.split()
     path = folder.toml(name)
-    is_check = words[0] == "check"
-    out = "" if is_check else folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
-    command = [*words, name] if is_check else [*words, name, "--out", out, "--force"]
+    out = "" if words[0] == "check" else folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
+    command = [*words, name, *(["--out", out, "--force"] if out else [])]
     return start(request, command, word.capitalize(), name, out)
-
-
-def _job_of(request: Request) -> tuple[Bench, Job]:
-    bench = bench_of(request)
-    job = bench.jobs.by_key.get(request.path_params["key"])
-    if job is None:
-        raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
-    return bench, job
-
-
-def _show_jobs(request: Request) -> Response:
-    return render(request, "jobs", "Jobs", jobs=bench_of(request).jobs.all())
-
-
-def _show_job(request: Request) -> Response:
-    bench, job = _job_of(request)
-    state, line = job.state, f"piga {shlex.join(job.command)}"
-    files = _result_files(bench, job) if state == "done" else []
-    return render(request, "job", f"{job.title} {job.subject}", job=job, state=state, line=line, files=files)
-
-
-def _progress(request: Request) -> Response:
-    """How far a job is; pages ask every 0.4 s. When it has ended, the part that waits for it asks for itself again."""
-    bench = bench_of(request)
-    job = bench.jobs.by_key.get(request.path_params["key"])
-    if job is None or job.state != "running":
-        return Response(headers={"hx-trigger": "ended"})
-    bench.jobs.attend(job)
-    return HTMLResponse(templates().get_template("progress.html.jinja").render(job=job))
-
-
-def _stop_job(request: Request) -> Response:
-    """Stop a job; one that has ended is forgotten, so that its page asks for it again."""
-    bench, job = _job_of(request)
-    bench.jobs.stop(job) if job.state == "running" else bench.jobs.forget(job)
-    return redirect(request.headers.get("referer") or "/jobs")
-
-
-def _result_files(bench: Bench, job: Job) -> list[str]:
-    """The files that a job wrote: those of its folder, or its file and the page beside it."""
-    if not job.result or job.result.startswith("signals/"):
-        return []
-    place = bench.folder.root / job.result
-    files = sorted(place.iterdir()) if place.is_dir() else [place, place.with_suffix(".html")]
-    return [bench.folder.name(path) for path in files if path.is_file() and not path.name.startswith(".")]
 
 
 _EXPLORED = (
@@ -371,8 +302,8 @@ def _explore(request: Request) -> Response:
             return HTMLResponse(page_html(page), headers={"content-security-policy": REPORT_POLICY})
     words = "The motion of the gimbal under constant specific force. Every published case, computed and compared: piga reproduce."
     frame = "" if is_refused else f"/explore?report=1&{request.url.query}"
-    groups = {"": [(field, "") for field in fields]}
-    return _form(request, "Explore", words, groups, 422 if is_refused else 200, method="get", shown=frame)
+    code = 422 if is_refused else 200
+    return _form(request, "Explore", words, {"": fields}, code, method="get", shown=frame)
 
 
 ROUTES = [
@@ -381,8 +312,4 @@ ROUTES = [
     route("/plan", _plan),
     route("/text", _text),
     Route("/explore", _explore),
-    Route("/jobs", _show_jobs),
-    Route("/jobs/{key}", _show_job),
-    Route("/jobs/{key}/progress", _progress),
-    Route("/jobs/{key}/stop", _stop_job, methods=["POST"]),
 ]

@@ -14,25 +14,26 @@ from typing import Any
 from urllib.parse import quote
 
 import msgspec
-import numpy as np
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from piga.data import copy_example
 from piga.describe import ColumnGuess, LogDescription, RunFileDraft, describe_log, draft_run_file, try_run_file
 from piga.describe.columns import UNITS as COLUMN_UNITS
 from piga.describe.columns import WORDS
-from piga.describe.draft import Question
+from piga.describe.draft import QUESTIONS, Question
+from piga.describe.run_file import suggestions
 from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
+from piga.records.calibration.calibration import Calibration
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
 from piga.reports.render.numbers import rounded, significant
 from piga.text_files import files_named_in, toml_document, toml_value
-from piga.workbench.common import FIT, Bench, Field, Job, Sent, bench_of, in_line, redirect, render, route
-from piga.workbench.folder import TRIALS, Entry, Folder, Kept, OutsideError, results_of
+from piga.workbench.common import FIT, Bench, Field, Job, Sent, bench_of, in_line, render, route
+from piga.workbench.folder import TRIALS, Folder, Kept, OutsideError, results_of
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
 MOST_UPLOAD = 4 << 30
@@ -69,19 +70,17 @@ def _time_line(kept: list[Kept]) -> list[dict[str, Any]]:
     """Kept calibrations as points: percent of the width and height of the picture, and the length of the bar of u."""
     low = min((one.ppm - one.u_ppm for one in kept), default=0.0)
     scale = 70.0 / max([1e-3, *(one.ppm + one.u_ppm - low for one in kept)])
-    places = ((one, 8.0 + 84.0 * (index + 0.5) / len(kept)) for index, one in enumerate(kept))
-    return [
-        {"kept": one, "x": x, "y": 85.0 - scale * (one.ppm - low), "u": scale * one.u_ppm} for one, x in places
-    ]
+    places = [8.0 + 84.0 * (index + 0.5) / len(kept) for index in range(len(kept))]
+    heights = [(85.0 - scale * (one.ppm - low), scale * one.u_ppm) for one in kept]
+    return [{"kept": one, "x": x, "y": y, "u": u} for one, x, (y, u) in zip(kept, places, heights, strict=True)]
 
 
 def _home(request: Request) -> Response:
-    """The first screen, or the newest record."""
     entries = left(bench_of(request))["entries"]
     if not entries:
         return render(request, "first", "From a log to a calibration in three steps")
     first = next((entry for entry in entries if entry.state != "log"), entries[0])
-    return redirect(f"/record/{quote(first.name)}")
+    return RedirectResponse(f"/record/{quote(first.name)}", 303)
 
 
 def _try_shipped(request: Request) -> Response:
@@ -91,7 +90,7 @@ def _try_shipped(request: Request) -> Response:
         for path in (run.with_suffix(".csv"), run):
             with suppress(FileExistsError):
                 put_in_place(path, folder.path(path.name), replace=False)
-    return redirect(f"/record/{run.name}")
+    return RedirectResponse(f"/record/{run.name}", 303)
 
 
 async def _take(request: Request) -> Response:
@@ -119,13 +118,13 @@ def _tag(request: Request, sent: Sent) -> Response:
     with bench.history.lock:
         raw = msgspec.json.encode(_tags_of(bench) | {name: words})
         write_whole(bench.folder.state_room() / "tags.json", lambda part: part.write_bytes(raw))
-    return redirect(f"/record/{quote(name)}")
+    return RedirectResponse(f"/record/{quote(name)}", 303)
 
 
 def _back(request: Request, otherwise: str) -> Response:
     """Go back to the page of the record, with the terms that it shows."""
     path = "/" + request.headers.get("referer", "").partition("//")[2].partition("/")[2]
-    return redirect(path if path.startswith("/record/") else otherwise)
+    return RedirectResponse(path if path.startswith("/record/") else otherwise, 303)
 
 
 _MENUS = {
@@ -164,7 +163,6 @@ def _role(column: ColumnGuess) -> str:
 
 
 def _told(columns: tuple[ColumnGuess, ...], sent: Sent) -> dict[str, str]:
-    """What was corrected at the columns, by name."""
     told = {}
     for index, column in enumerate(columns):
         role, unit = sent.get(f"role:{index}", _role(column)), sent.get(f"unit:{index}", column.unit)
@@ -177,7 +175,7 @@ def _told(columns: tuple[ColumnGuess, ...], sent: Sent) -> dict[str, str]:
 def sheet(folder: Folder, name: str, sent: Sent) -> Sheet:
     """Describe a log, as ``piga init`` does, with the corrections and answers of a form."""
     log = folder.file(name)
-    described, fields, message = describe_log(log), dict[str, Field](), ""
+    described, fields, message = describe_log(log), list[Field](), ""
     draft = draft_run_file(described)
     try:
         told = _told(described.columns, sent)
@@ -185,56 +183,44 @@ def sheet(folder: Folder, name: str, sent: Sent) -> Sheet:
     except PigaError as error:
         message = str(error).removeprefix("--column ")
     try:
-        draft = _answered(described, _taken(folder, sent.get("take", "")), sent, fields)
+        settings = _taken(folder, sent.get("take", ""))
+        draft = draft_run_file(described, settings)
+        asked = QUESTIONS | {one.key: one for one in (*draft.open, *draft.optional)}
+        fields = [_answered(one, described, settings, sent) for one in asked.values() if one.example[0] != "{"]
+        draft = draft_run_file(described, settings)
         read_run_file(log.with_suffix(".toml"), draft.completed().text().encode())
     except PigaError as error:
         message = message or str(error)
-    return Sheet(described, draft, list(fields.values()), message)
+    unanswered = [one.key for one in (*draft.open, *draft.optional)]
+    return Sheet(described, draft, [one for one in fields if one.typed or one.key in unanswered], message)
 
 
-def _answered(
-    described: LogDescription, settings: dict[str, Any], sent: Sent, fields: dict[str, Field]
-) -> RunFileDraft:
-    """The draft with the answers of a form. ``fields`` takes the questions; an answer may lead to another one."""
-    while True:
-        draft = draft_run_file(described, settings)
-        asked = [one for one in (*draft.open, *draft.optional) if _is_field(one) and one.key not in fields]
-        if not asked:
-            return draft
-        for question in asked:
-            key, like = question.key, question.example.partition(" ")[2] or "1"
-            units = _MENUS.get(like, (like,))
-            field = Field(key, question.words, question.example, like=like, units=units).with_sent(sent)
-            try:
-                if field.typed and not field.refusal:
-                    value = _value(question, field.value)
-                    draft_run_file(described, settings | {key: value})
-                    settings[key] = value
-            except PigaError as error:
-                field = replace(field, refusal=in_line(error))
-            fields[key] = field
-
-
-def _is_field(question: Question) -> bool:
-    """False if a question is answered at the columns."""
-    return not question.example.startswith("{")
-
-
-def _value(question: Question, text: str) -> Any:
-    """A value as the run file has it: a whole number for counts, else text."""
-    if not question.example.isdigit():
-        return text
-    if not text.isdigit():
-        raise ArgumentError(f"{text!r} is not a whole number", remedy=f"e.g. {question.example}")
-    return int(text)
+def _answered(question: Question, described: LogDescription, settings: dict[str, Any], sent: Sent) -> Field:
+    """The field of a question; ``settings`` takes its answer: a whole number for counts, else text."""
+    key, example = question.key, question.example
+    like = example.partition(" ")[2] or "1"
+    units = _MENUS.get(like, (like,))
+    field = Field(key, question.words, example, like=like, units=units, css="notice question").with_sent(sent)
+    try:
+        if field.typed and not field.refusal:
+            value: Any = field.value
+            if example.isdigit():
+                if not value.isdigit():
+                    raise ArgumentError(f"{value!r} is not a whole number", remedy=f"e.g. {example}")
+                value = int(value)
+            draft_run_file(described, settings | {key: value})
+            settings[key] = value
+    except PigaError as error:
+        return replace(field, refusal=in_line(error))
+    return field
 
 
 def _taken(folder: Folder, name: str) -> dict[str, Any]:
     """Instrument, stand and uncertainties of another run file, as settings."""
     document = toml_document(folder.toml(name)) if name else {}
-    parts = ((table, document.get(table)) for table in ("instrument", "stand", "uncertainty"))
-    tables = ((table, part) for table, part in parts if isinstance(part, dict))
-    return {f"{table}.{key}": value for table, part in tables for key, value in part.items()}
+    tables = {one: document.get(one) for one in ("instrument", "stand", "uncertainty")}
+    parts = ((table, part) for table, part in tables.items() if isinstance(part, dict))
+    return {f"{table}.{key}": value for table, part in parts for key, value in part.items()}
 
 
 def _preview(described: LogDescription) -> list[tuple[str, ...]]:
@@ -255,7 +241,7 @@ def _show_log(request: Request, sent: Sent) -> Response:
             target = bench.folder.free(log.parent, log.name.partition(".")[0] or "run", ".toml")
             try_run_file(made.draft, target)
             bench.history.write(bench.folder.name(target), "", made.draft.text(), f"describe {log.name}")
-            return redirect(f"/record/{quote(bench.folder.name(target))}")
+            return RedirectResponse(f"/record/{quote(bench.folder.name(target))}", 303)
     except PigaError as error:
         fault = str(error)
     code = 422 if fault or sent.get("do") == "write" else 200
@@ -265,28 +251,27 @@ def _show_log(request: Request, sent: Sent) -> Response:
             "roles": _ROLES, "role": _role, "column_units": COLUMN_UNITS, "took": sent.get("take", ""),
             "rows": _preview(made.described),
             "others": [entry.name for entry in bench.folder.entries() if entry.state == "ready"],
-            "open_columns": [one for one in made.draft.open if not _is_field(one)],
+            "open_columns": [one for one in made.draft.open if one.example[0] == "{"],
             "notes": [line for lines in made.draft.comments.values() for line in lines if line.startswith("CHECK")],
         }  # fmt: skip
     return render(request, "log", name, code, **values)
 
 
 def _show(request: Request) -> Response:
-    """The page of a record: its picture, and the answer for the ticked terms."""
     bench, name = bench_of(request), request.path_params["name"]
     entry = bench.folder.entry(name)
     if entry.state == "log":
-        return redirect(f"/log/{quote(name)}")
+        return RedirectResponse(f"/log/{quote(name)}", 303)
     outline, job = (None, None) if entry.state == "faulty" else _reading(bench, name)
-    message, seen = entry.message, ""
-    with suppress(PigaError):
+    message, seen, repairs = job.fault if job else entry.message, "", list[Any]()
+    with suppress(PigaError, OSError):
         seen = bench.history.seen(bench.folder.text(name))
-    if job is not None and job.state in ("failed", "stopped"):
-        message = job.text("err").removeprefix("piga: ") or "The reading was stopped."
+        path = bench.folder.toml(name)
+        if message and (path.parent / entry.log).stat().st_size <= _SMALL:
+            repairs = suggestions(path)
     return render(
         request, "record", name, **left(bench, name), entry=entry, query=request.url.query, message=message, seen=seen,
-        outline=outline, job=job, repairs=_repairs(bench, entry) if message else [],
-        drawn=msgspec.json.encode(outline).decode(),
+        outline=outline, job=job, repairs=repairs, drawn=msgspec.json.encode(outline).decode(),
         right=_answer(bench, name, request.query_params.getlist("term")) if outline else {},
     )  # fmt: skip
 
@@ -298,26 +283,10 @@ def _cache_of(bench: Bench, name: str) -> Path:
 
 
 def _reading(bench: Bench, name: str) -> tuple[Outline | None, Job | None]:
-    """The outline of a record. If it is not read yet: the job that reads it, or that failed."""
+    """The outline of a record; or the job that reads it, or that failed."""
     cache = _cache_of(bench, name)
-    mark = f"signals/{cache.name}"
-    last = bench.jobs.latest(name, mark)
-    is_open = last is not None and last.state != "done"
-    outline = read_outline(cache)  # after the state: the job may end meanwhile
-    if outline is not None:
-        return outline, None
-    if is_open:
-        return None, last
-    return None, bench.jobs.start(("envelopes", name, str(cache)), "Read the record", name, mark)
-
-
-def _repairs(bench: Bench, entry: Entry) -> list[Any]:
-    """Lines that repair a run file; each was tried on the log."""
-    from piga.describe.run_file import suggestions
-
-    with suppress(PigaError, OSError):
-        return suggestions(bench.folder.toml(entry.name)) if entry.size <= _SMALL else []
-    return []
+    command, mark = ("envelopes", name, str(cache)), f"signals/{cache.name}"
+    return bench.jobs.made(lambda: read_outline(cache), command, "Read the record", name, mark)
 
 
 def _data(request: Request) -> Response:
@@ -347,10 +316,8 @@ def _change(request: Request, sent: Sent) -> Response:
             document.setdefault(place, {})[key] = tomlkit.value(sent["value"])
             words = f"set {key} = {sent['value']}"
         elif do == "again":
-            entries, index = document.get("data", {}).get("leave_out", []), sent["index"]
-            if not index.isdigit() or int(index) >= len(entries):
-                raise ArgumentError("these rows are used already", remedy="reload the page")
-            words = f"use again: {entries.pop(int(index))['reason']}"
+            entry = document["data"]["leave_out"].pop(int(sent["index"]))
+            words = f"use again: {entry['reason']}"
         elif do in ("leave", "moves"):
             spans, reason = _spans(bench, name, sent)
             entries = document["data"].setdefault("leave_out", tomlkit.array())
@@ -363,8 +330,9 @@ def _change(request: Request, sent: Sent) -> Response:
         text = tomlkit.dumps(document)
     except PigaError:
         raise
-    except (TOMLKitError, ValueError, TypeError, AttributeError, KeyError):
-        raise ArgumentError(f"{name}: this cannot be put into the file", remedy="change it as text") from None
+    except (TOMLKitError, ValueError, TypeError, AttributeError, LookupError):
+        remedy = "reload the page, or change the file as text"
+        raise ArgumentError(f"{name}: this cannot be put into the file", remedy=remedy) from None
     bench.history.write(name, sent.get("seen", ""), text, words)
     return _back(request, f"/record/{quote(name)}")
 
@@ -377,17 +345,10 @@ def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], 
         raise ArgumentError(f"{name}: is not read yet", remedy="reload the page")
     if sent["do"] == "moves":
         return [one.rows for one in outline.moves], "the stand moves"
-    try:
-        first, last = (float(sent[end].replace(",", ".")) for end in ("from", "to"))
-    except ValueError:
-        raise ArgumentError("the marked span is not valid", remedy="mark it again") from None
-    reason = " ".join(sent.get("reason", "").split())
-    if not reason:
-        raise ArgumentError("a reason is needed", remedy="say why these rows are left out")
-    rows = rows_between(cache, first, last)
+    rows = rows_between(cache, *(float(sent[end].replace(",", ".")) for end in ("from", "to")))
     if rows[1] - rows[0] + 1 >= outline.rows:
         raise ArgumentError("these are all rows of the record", remedy="mark a part of it")
-    return [rows], reason
+    return [rows], " ".join(sent["reason"].split())
 
 
 def _trial(bench: Bench, key: str) -> Kept | None:
@@ -405,42 +366,38 @@ def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
     shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {
         "terms": shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual),
-        "answer": None, "former": None, "fit": None, "message": "",
+        "answer": None, "former": None, "fit": None,
     }  # fmt: skip
     try:
         check_terms(terms, output=run_file.unit)
     except PigaError as error:
         return values | {"message": str(error)}
-    asked = f"{cache_key(files_named_in(bench.folder.toml(name)))} {name} {' '.join(terms)}"
-    key = hashlib.sha256(asked.encode()).hexdigest()[:16]
-    fit = bench.jobs.latest(name, f"{TRIALS}{key}")
-    state = "" if fit is None else fit.state
-    answer = _trial(bench, key) if state in ("", "done") else None
+    key = hashlib.sha256(f"{_cache_of(bench, name).name} {' '.join(terms)}".encode()).hexdigest()[:16]
+    command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
+    answer, fit = bench.jobs.made(lambda: _trial(bench, key), command, FIT, name, f"{TRIALS}{key}")
     last = [one for one in bench.answers.get(name, []) if one != key]
     former = next((kept for one in last if (kept := _trial(bench, one))), None)
     if answer is not None:
         bench.answers[name] = [key, *last][:2]
-        return values | {"answer": answer, "former": former, "key": key, "rows": _rows(answer, former)}
-    if fit is None:
-        command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
-        fit = bench.jobs.start(command, FIT, name, f"{TRIALS}{key}")
-    message = (fit.text("err") or "The fit was stopped.") if state not in ("", "running") else ""
-    return values | {"fit": fit, "former": former, "message": message}
+        values |= {"key": key, "rows": _rows(answer.calibration, (former or answer).calibration)}
+    return values | {"answer": answer, "former": former, "fit": fit, "message": fit.fault if fit else ""}
 
 
-def _rows(answer: Kept, former: Kept | None) -> list[dict[str, Any]]:
-    """The coefficients in the units of every page, with those of the former answer."""
+def _rows(one: Calibration, other: Calibration) -> list[dict[str, Any]]:
+    """The coefficients of two calibrations in the units of every page: ``cells`` are value and u, or None."""
     rows = []
-    for one in answer.calibration.coefficients:
-        factor, unit = shown_unit(one.name, one.unit)
-        value, u = factor * one.value, factor * one.std
-        before = former.calibration[one.key] if former and one.key in former.calibration else one
-        was = "" if before.value == one.value else rounded(factor * before.value, u).value
-        rows.append({"key": one.key, "value": value, "u": u, "unit": unit, "was": was})
+    for key in dict.fromkeys((*one, *other)):
+        pair = [made.get(key) for made in (one, other)]
+        name, unit = next((c.name, c.unit) for c in pair if c)
+        factor, unit = shown_unit(name, unit)
+        rows.append(
+            {"key": key, "unit": unit, "cells": [c and (factor * c.value, factor * c.std) for c in pair]}
+        )
     return rows
 
 
-def _in_words(kept: Kept) -> str:
+def in_words(kept: Kept) -> str:
+    """K and its unit."""
     return f"K = {rounded(kept.K, kept.u).value} {kept.unit}"
 
 
@@ -457,15 +414,11 @@ def _keep(request: Request, sent: Sent) -> Response:
         kept = bench.folder.entry(name).kept
         if not (kept and kept[0].calibration == answer.calibration):  # else the button was pressed twice
             target = bench.folder.path(bench.folder.name(results_of(bench.folder.toml(name))))
-            former = None
-            if target.exists():
-                number = 1 + max((-one.version for one in kept), default=0)
-                older = target.with_name(f"{target.name}-v{number}")
-                former = target.rename(bench.folder.path(bench.folder.name(older)))
+            number = 1 + max((-one.version for one in kept), default=0)
+            older = bench.folder.path(f"{bench.folder.name(target)}-v{number}")
             part = bench.folder.state_room("parts") / key
             shutil.copytree(bench.folder.root / TRIALS / key, part, dirs_exist_ok=True)
-            part.rename(target)
-            bench.history.note(f"keep {_in_words(answer)}", target, former)
+            bench.history.put(target, part, f"keep {in_words(answer)}", older)
     return _back(request, f"/record/{quote(name)}")
 
 
@@ -486,13 +439,11 @@ def _show_kept(request: Request) -> Response:
 
 
 def _discard(request: Request) -> Response:
-    """Remove a kept calibration; Undo brings it back."""
     bench = bench_of(request)
     with bench.history.lock:
         kept = kept_of(bench, request.path_params["name"])
-        path = bench.folder.path(kept.name)
-        bench.history.note(f"discard {_in_words(kept)}", path, bench.history.put_away(path))
-    return redirect("/")
+        bench.history.put(bench.folder.path(kept.name), None, f"discard {in_words(kept)}")
+    return RedirectResponse("/", 303)
 
 
 def _undo(request: Request) -> Response:
@@ -506,16 +457,7 @@ def _compare(request: Request) -> Response:
     if len(names) != 2:
         raise ArgumentError("two results are needed", remedy="tick two kept results at the left")
     pair = [kept_of(bench, name) for name in names]
-    one, other = (kept.calibration for kept in pair)
-    table = []
-    for key in dict.fromkeys((*one, *other)):
-        factor, unit = shown_unit(key, (one if key in one else other)[key].unit)
-        cells = [(factor * c[key].value, factor * c[key].std) if key in c else None for c in (one, other)]
-        row: dict[str, Any] = {"key": key, "unit": unit, "cells": cells}
-        if cells[0] and cells[1]:
-            (first, u), (second, v) = cells[0], cells[1]
-            row |= {"difference": second - first, "u": float(np.hypot(u, v))}
-        table.append(row)
+    table = _rows(*(kept.calibration for kept in pair))
     return render(request, "compare", "Two results side by side", **left(bench), pair=pair, table=table)
 
 

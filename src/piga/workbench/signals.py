@@ -14,7 +14,6 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -31,25 +30,21 @@ BLOCK = 256
 """Samples per block of the envelope."""
 DRAWN = 1 << 18
 """Samples of a span that is drawn from the samples themselves."""
-_MOST_STRETCHES = 20_000
-"""Longest breaks that are drawn as gaps. More of them would not be seen."""
 _MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
-FORM = 9
+FORM = 10
 """Version of the cache's files."""
 
 
 class Signal(msgspec.Struct, frozen=True):
-    """One column of a record: key, title, shown unit, factor from SI to it, number of its figure, offset of the unit."""
+    """One column of a record: key, title, shown unit, number of its figure."""
 
     key: str
     title: str
     unit: str
-    factor: float
     figure: int
-    offset: float = 0.0
 
 
 class Span(msgspec.Struct, frozen=True):
@@ -99,32 +94,23 @@ def read_outline(folder: Path) -> Outline | None:
 
 
 def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
-    """Write the columns and envelopes of a record.
+    """Write the columns and envelopes of a record to a new folder, ``RECORD-KEY``.
 
-    Parameters
-    ----------
-    run, run_file:
-        The record as read, and its run file.
-    folder:
-        New folder, ``RECORD-KEY``. It appears when it is complete; others of the same record are removed.
+    It appears when it is complete; others of the same record are removed.
     """
     breaks = np.flatnonzero(run.begins[1:]) + 1
-    longest = np.argsort(np.abs(run.t[breaks] - run.t[breaks - 1]))[-_MOST_STRETCHES:]
-    breaks = np.sort(breaks[longest])
     edges = [0, *breaks.tolist(), run.size]
     blocks = np.concatenate([np.arange(first, last, BLOCK) for first, last in pairwise(edges)])
-    t, signals = _time(run), _signals(run, run_file)
-    outline = _outline(run, run_file, t, tuple(signal for signal, _ in signals))
+    t, signals = _time(run), list[Signal]()
     part = Path(tempfile.mkdtemp(prefix="part-", dir=folder.parent))
     try:
-        shape = (len(signals), run.size)
-        columns = np.lib.format.open_memmap(part / "columns.npy", mode="w+", dtype=np.float64, shape=shape)
-        for column, (_, values) in zip(columns, signals, strict=True):
-            column[:] = _difference(run, t) if values is None else values
-        extremes = _extremes(columns, columns, blocks)
-        arrays = {"t": t, "breaks": breaks, "blocks": blocks, "row": run.row, "extremes": extremes}
-        for name, array in arrays.items():
+        for number, (signal, values) in enumerate(_signals(run, run_file, t)):
+            signals.append(signal)
+            np.save(part / f"{number}.npy", values)
+            np.save(part / f"{number}-blocks.npy", _extremes(values, values, blocks))
+        for name, array in {"t": t, "breaks": breaks, "blocks": blocks, "row": run.row}.items():
             np.save(part / f"{name}.npy", array)
+        outline = _outline(run, run_file, t, tuple(signals))
         (part / "outline.json").write_bytes(msgspec.json.encode(outline))
         for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
             shutil.rmtree(place, ignore_errors=True)
@@ -135,8 +121,8 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
 
 
 def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
-    """Least and largest value of the columns from each start to the next."""
-    return np.stack((np.fmin.reduceat(least, starts, axis=1), np.fmax.reduceat(largest, starts, axis=1)))
+    """Least and largest value of a column from each start to the next."""
+    return np.stack((np.fmin.reduceat(least, starts), np.fmax.reduceat(largest, starts)))
 
 
 def _time(run: Run) -> Array:
@@ -161,32 +147,27 @@ def _difference(run: Run, t: Array) -> Array:
     return total - total[begin]
 
 
-def _signals(run: Run, run_file: RunFile) -> list[tuple[Signal, Any]]:
-    """The signals of a record with their values in SI; None: the difference from what K makes of a_x."""
-    degree, is_angle = 180.0 / np.pi, run.kind == "angle"
+def _signals(run: Run, run_file: RunFile, t: Array) -> Iterator[tuple[Signal, Array]]:
+    degree = 180.0 / np.pi
     name, unit, factor = "output rate", "deg/s", degree
     if run.direct:
         name, unit, factor = "output", run.output_unit, 1.0
-    elif is_angle:
+    elif run.kind == "angle":
         name, unit, factor = "output angle", "rev", 0.5 / np.pi
-    signals: list[tuple[Signal, Any]] = [(Signal("output", name, unit, factor, 0), run.output)]
-    if is_angle:
-        words, scale = f"{run.quantity} minus K ∫aₓdt", ("count", 1.0) if run.direct else ("deg", degree)
-        signals.append((Signal("difference", words, *scale, 1), None))
+    yield Signal("output", name, unit, 0), factor * run.output
+    if run.kind == "angle":
+        unit, factor = ("count", 1.0) if run.direct else ("deg", degree)
+        yield Signal("difference", f"{run.quantity} minus K ∫aₓdt", unit, 1), factor * _difference(run, t)
     vectors = [("f", "a_", "g", 1.0 / G0, 2, run.f)]
     if run.base_rate is not None:
         vectors.append(("rate", "Ω_", "deg/s", degree, 3, run.base_rate))
     for key, title, unit, factor, figure, values in vectors:
         for index, axis in enumerate("XYZ"):
-            signals.append((Signal(f"{key}{axis}", f"{title}{axis}", unit, factor, figure), values[:, index]))
+            yield Signal(f"{key}{axis}", f"{title}{axis}", unit, figure), factor * values[:, index]
     if run.temperature is not None:
         unit = run_file.data.temperature.unit if run_file.data.temperature else "K"
-        factor = 1.0 / parse_unit(unit).factor
-        shown = Signal(
-            "temperature", "temperature", unit.replace("deg", "°"), factor, 4, -offset_to_si(unit) * factor
-        )
-        signals.append((shown, run.temperature))
-    return signals
+        values = (run.temperature - offset_to_si(unit)) / parse_unit(unit).factor
+        yield Signal("temperature", "temperature", unit.replace("deg", "°"), 4), values
 
 
 def _outline(run: Run, run_file: RunFile, t: Array, signals: tuple[Signal, ...]) -> Outline:
@@ -234,8 +215,8 @@ def picture(folder: Path, keys: Sequence[str], first: float, last: float, width:
     row of NaN separates stretches.
     """
     outline = read_outline(folder)
-    signals = {} if outline is None else {one.key: (at, one) for at, one in enumerate(outline.signals)}
-    if not set(keys) <= set(signals):
+    names = [] if outline is None else [one.key for one in outline.signals]
+    if not set(keys) <= set(names):
         raise ArgumentError(f"{keys!r}: there is no such signal", remedy="choose a signal of the page")
     if not (np.isfinite(first) and np.isfinite(last) and first < last and 0 < width <= _MOST_WIDTH):
         raise ArgumentError("the span of the picture is not valid", remedy="reload the page")
@@ -244,26 +225,24 @@ def picture(folder: Path, keys: Sequence[str], first: float, last: float, width:
         array: Array = np.load(folder / f"{name}.npy", mmap_mode="r")
         return array
 
-    t, breaks, shown = stored("t"), stored("breaks"), [signals[key][0] for key in keys]
+    t, breaks, blocks = (stored(name) for name in ("t", "breaks", "blocks"))
     low = max(int(np.searchsorted(t, first)) - 1, 0)
     high = min(int(np.searchsorted(t, last, side="right")) + 1, t.size)
-    if high - low <= DRAWN:
-        at = np.arange(low, high)
-        least = largest = stored("columns")[shown, low:high]
-    else:
-        blocks = stored("blocks")
-        part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
-        at = np.asarray(blocks[part])
-        least, largest = stored("extremes")[:, shown, part]
-    after = np.searchsorted(at, breaks[(breaks > at[0]) & (breaks < high)])
+    is_short = high - low <= DRAWN
+    part = slice(int(np.searchsorted(blocks, low, side="right")) - 1, int(np.searchsorted(blocks, high)))
+    at = np.arange(low, high) if is_short else np.asarray(blocks[part])
+    gaps = breaks[(breaks > at[0]) & (breaks < high)]
+    after = np.searchsorted(at, gaps[:: gaps.size // (4 * width) + 1])  # more of them would not be seen
     starts = np.union1d(np.arange(0, at.size, max(at.size // (2 * width), 1)), after)
     columns = [t[at[starts]]]
-    for key, ends in zip(keys, _extremes(least, largest, starts).swapaxes(0, 1), strict=True):
-        columns += list(ends * signals[key][1].factor + signals[key][1].offset)
+    for number in map(names.index, keys):
+        name = f"{number}" if is_short else f"{number}-blocks"
+        least, largest = [stored(name)[low:high]] * 2 if is_short else stored(name)[:, part]
+        columns += list(_extremes(least, largest, starts))
     rows, gap = np.column_stack(columns), np.searchsorted(starts, after)
-    gaps = np.full((gap.size, rows.shape[1]), np.nan)
-    gaps[:, 0] = 0.5 * (rows[gap - 1, 0] + rows[gap, 0])
-    return np.insert(rows, gap, gaps, axis=0)
+    between = np.full((gap.size, rows.shape[1]), np.nan)
+    between[:, 0] = 0.5 * (rows[gap - 1, 0] + rows[gap, 0])
+    return np.insert(rows, gap, between, axis=0)
 
 
 def rows_between(folder: Path, first: float, last: float) -> tuple[int, int]:

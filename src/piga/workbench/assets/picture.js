@@ -1,36 +1,19 @@
 "use strict";
-// Numbers at the ticks of an axis, with as many digits as tell two neighbours apart.
-const tickNumbers = (u, splits, axis, space, step) => {
-  let digits = 0;
-  while (digits < 12 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits += 1;
-  const short = (value) => value.toExponential(Math.max(0, Math.ceil(Math.log10(Math.abs(value) / step))));
-  return splits.map((value) => (value === null ? "" : (digits > 7 && value ? short(value) : value.toFixed(Math.min(digits, 7))).replace("-", "\u2212")));
-};
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-// A chart that follows its place and the colours of the system.
-const chart = (place, height, labels, options, data) => {
-  const axis = { values: tickNumbers, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid"), width: 1 }, ticks: { stroke: () => colour("--grid"), width: 1 }, labelSize: 22 };
-  const axes = [{ ...axis, label: labels[0], size: 40 }, { ...axis, label: labels[1], size: 72 }];
-  const plot = new uPlot({ width: place.clientWidth, height, axes, ...options }, data, place);
-  new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height })).observe(place);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plot.redraw());
-  return plot;
-};
-
 // A record as a picture: envelopes from the server for any span, positions as bands, spans that are left out or move.
 const startPicture = () => {
-  const page = document.getElementById("figures");
+  const page = find("figures");
   if (!page || page.dataset.ready) return;
   page.dataset.ready = "1";
   const record = JSON.parse(page.dataset.drawn);
   const duration = record.duration;
-  const find = (id) => document.getElementById(id);
+  const colour = (name, at = page) => getComputedStyle(at).getPropertyValue(name).trim();
+  const minus = (text) => text.replace("-", "\u2212");
   let shown = [0, duration];
   let wanted = 0;
   let marked = null;
   const pictures = [...page.querySelectorAll("figure")].map((figure) => ({
     figure, place: figure.querySelector(".plot"), plot: null,
-    signals: [...figure.querySelectorAll(".key")].map((name) => ({ ...name.dataset, title: name.textContent, colour: () => getComputedStyle(name).getPropertyValue("--key").trim() })),
+    signals: [...figure.querySelectorAll(".key")].map((name) => ({ ...name.dataset, title: name.textContent, colour: () => colour("--key", name) })),
   }));
 
   const readout = (u) => {
@@ -39,7 +22,7 @@ const startPicture = () => {
     const position = record.positions.find((one) => one.first <= time && time <= one.last);
     const values = pictures.flatMap(({ plot, signals }) => signals.map((one, index) => {
       const value = plot?.data[1 + 2 * index]?.[plot.valToIdx(time)] ?? null;
-      return value === null ? "" : `${one.title} ${value.toPrecision(7).replace("-", "\u2212")} ${one.unit}`;
+      return value === null ? "" : minus(`${one.title} ${value.toPrecision(7)} ${one.unit}`);
     }));
     find("readout").textContent = [`${time.toFixed(3)} s`, position ? `position ${position.name}` : "between positions", ...values].filter(Boolean).join(" · ");
   };
@@ -63,25 +46,21 @@ const startPicture = () => {
     record.left_out.forEach((one) => band(u, one, colour("--left-out"), `left out: ${one.name}`));
     record.moves.forEach((one) => band(u, one, colour("--moves"), "moves"));
     if (marked) band(u, { first: marked[0], last: marked[1] }, colour("--left-out"), "marked");
-    u.ctx.strokeStyle = colour("--bad");
-    u.ctx.setLineDash([4, 4]);
-    for (const time of record.findings.map(([, at]) => at).filter((at) => at > 0 && at >= shown[0] && at <= shown[1])) {
-      const x = Math.round(u.valToPos(time, "x", true));
-      u.ctx.beginPath(); u.ctx.moveTo(x, u.bbox.top); u.ctx.lineTo(x, u.bbox.top + u.bbox.height); u.ctx.stroke();
+    u.ctx.fillStyle = colour("--bad");
+    for (const [, time] of record.findings) {
+      if (time > 0 && time >= shown[0] && time <= shown[1]) u.ctx.fillRect(u.valToPos(time, "x", true), u.bbox.top, devicePixelRatio, u.bbox.height);
     }
     u.ctx.restore();
   };
 
-  const draw = (picture, data) => {
-    if (picture.plot) {
-      picture.plot.setData(data, false);
-      picture.plot.setScale("x", { min: shown[0], max: shown[1] });
-      return;
-    }
-    const lines = picture.signals.flatMap((one) => [0, 1].map(() => ({ stroke: one.colour, width: 1.25, points: { show: false } })));
-    const between = picture.signals.map((one, index) => ({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${one.colour()} 35%, transparent)` }));
-    picture.plot = chart(picture.place, 200, ["time since the first sample [s]", picture.signals[0].unit], {
-      series: [{}, ...lines], bands: between, legend: { show: false },
+  const plotted = ({ place, signals }, data) => {
+    const grid = { stroke: () => colour("--grid"), width: 1 };
+    const axis = { values: (u, splits) => splits.map((value) => minus(String(value))), stroke: () => colour("--soft"), grid, ticks: grid, labelSize: 22 };
+    const plot = new uPlot({
+      width: place.clientWidth, height: 200, legend: { show: false },
+      axes: [{ ...axis, label: "time since the first sample [s]", size: 40 }, { ...axis, label: signals[0].unit, size: 72 }],
+      series: [{}, ...signals.flatMap((one) => [0, 1].map(() => ({ stroke: one.colour, width: 1.25, points: { show: false } })))],
+      bands: signals.map((one, index) => ({ series: [2 * index + 2, 2 * index + 1], fill: () => `color-mix(in srgb, ${one.colour()} 35%, transparent)` })),
       scales: { x: { time: false, auto: false, min: shown[0], max: shown[1] } },
       cursor: { sync: { key: "record" }, drag: { x: true, y: false, setScale: false } },
       hooks: {
@@ -93,7 +72,10 @@ const startPicture = () => {
         }],
         drawAxes: [bands],
       },
-    }, data);
+    }, data, place);
+    new ResizeObserver(() => plot.setSize({ width: place.clientWidth, height: 200 })).observe(place);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plot.redraw());
+    return plot;
   };
 
   const load = async (picture, turn) => {
@@ -110,7 +92,10 @@ const startPicture = () => {
     const values = new Float64Array(await answer.arrayBuffer());
     if (turn !== wanted) return;
     const cell = (at) => (Number.isNaN(values[at]) ? null : values[at]);
-    draw(picture, Array.from({ length: columns }, (_, column) => Array.from({ length: values.length / columns }, (none, row) => cell(row * columns + column))));
+    const data = Array.from({ length: columns }, (_, column) => Array.from({ length: values.length / columns }, (none, row) => cell(row * columns + column)));
+    picture.plot?.setData(data, false);
+    picture.plot?.setScale("x", { min: shown[0], max: shown[1] });
+    picture.plot ??= plotted(picture, data);
     picture.figure.dataset.points = String(values.length / columns);
   };
 
