@@ -40,10 +40,10 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
     fit, named = whole.only, whole.named(whole.estimate, whole.estimate.covariance)[0]
 
     def estimate(moved: Run) -> np.ndarray:
-        design = fit.design.with_servo(None).of(moved)
+        design = fit.design.of(moved)
         triangles = RunSummary.of_rows(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
         runs = MergedRuns.of([triangles], fit.runs.terms)
-        found = runs.solved()[2]
+        found = runs.solved()[1]
         return np.array([c.value for c in runs.named(found, found.covariance)[0]])
 
     units = with_units(fit.design.run)

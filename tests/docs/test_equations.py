@@ -17,7 +17,6 @@ from piga._kernels.compensation.terms import near_nyquist
 from piga._kernels.estimation import product_column
 from piga.calibration import missing_terms
 from piga.calibration.intervals import sandwich
-from piga.calibration.model.design import ServoState
 from piga.calibration.model.reduction import triangle
 from piga.calibration.revolutions import ripple
 from piga.instrument.parameters import ErrorModel
@@ -145,15 +144,6 @@ def test_calibration_ripple(rho: float) -> None:
     literal = 2.0 * abs(np.mean(times * np.exp(-1j * x))) / times.mean()
     assert literal == pytest.approx(2.0 * (1.0 - np.sqrt(1.0 - rho**2)) / rho, abs=1e-10)
     assert rho == pytest.approx(ripple(times.reshape(32, 400).sum(axis=1)), abs=1e-6)
-
-
-def test_calibration_servo_step() -> None:
-    """What the step adds to the columns of the coupling is the derivative of the terms by the phase."""
-    stiffness, damping, size, phi, step = 0.3, 0.2, 1.3, 0.4, 1e-6
-    state = ServoState((phi,), stiffness, damping, 1.0 / size)
-    rows = [state.term_rows(phi + sign * step) for sign in (1.0, -1.0)]
-    ahead, behind = (stiffness * row["servo"] + damping * row["servo_damping"] for row in rows)
-    assert (ahead - behind) / (2.0 * step * size) == pytest.approx(state.phase_row(phi), abs=1e-8)
 
 
 def test_inverse_published() -> None:

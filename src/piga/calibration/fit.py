@@ -6,7 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piga.calibration.model.design import Design, ServoState
+from piga.calibration.intervals import parameter_rows
+from piga.calibration.model.design import Design
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Estimate
 from piga.calibration.outliers import (
@@ -24,6 +26,7 @@ from piga.calibration.outliers import (
 )
 from piga.calibration.summary import MergedRuns, RunSummary
 from piga.calibration.weights import (
+    RATE,
     Noise,
     Positions,
     find_noise,
@@ -48,7 +51,7 @@ _ROUNDS = 5
 class Fit:
     """A finished fit of one run.
 
-    ``design`` has the servo columns at the phases of the fit, ``runs`` the triangles of the positions without a phase.
+    ``runs`` holds the triangles of the positions.
     ``values`` (segments, m) are the column coefficients, ``d`` and ``h`` the residual increments and their intervals.
     ``outliers`` are the samples left out.
     """
@@ -56,7 +59,6 @@ class Fit:
     design: Design
     mode: str
     runs: MergedRuns
-    servo: ServoState | None
     values: Array
     estimate: Estimate
     d: Array = field(repr=False)
@@ -100,9 +102,9 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     if request.phase_source == "input" or not suspicious(d, fit.h, fit.mode, fit.noise, run, parameters):
         return fit
     plain.design.forget()
-    raw = Design(run, request, run.scale_factor, plain.design.servo)
+    raw = Design(run, request, run.scale_factor)
     resolution = resolution_of(run)
-    misses = misses_of(raw, robust_values(raw))
+    misses = misses_of(raw, robust_values(raw, plain.runs.layout))
     if fit.noise.rate_variances(len(run.labels)).any():
         misses = without_rates(misses, Positions.of(run).edges, resolution)
     raw.forget()
@@ -152,8 +154,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
             break
         noise, raw = replace(levels, stated=own), refined
     if given is None and mode != "rates" and not positions.continuous:
-        parts = [position.part for position in fit.runs.positions(0, fit.servo)]
-        noise = find_scatter(parts, noise, raw.local_names if raw.has_phases else ())
+        noise = find_scatter(_linear_parts(fit), noise, phases=raw.has_phases)
     weighted = summary.weighted(noise)
     if noise.rate_variances(positions.count).any():
         return _solved(raw, mode, weighted)
@@ -163,17 +164,28 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
 def _solved(raw: Design, mode: str, summary: RunSummary) -> Fit:
     """The fit with these weights; raises if the record cannot determine what is asked."""
     runs = MergedRuns.of([summary], raw.request.terms)
-    state, _, estimate = runs.solved()
-    design, values = runs.design_at(raw, estimate, state)
-    d, h = residual_increments(design, values)
-    return Fit(design, mode, runs, state, values, estimate, d, h)
+    _, estimate = runs.solved()
+    values = runs.values_in_segments(raw, estimate)
+    d, h = residual_increments(raw, values)
+    return Fit(raw, mode, runs, values, estimate, d, h)
+
+
+def _linear_parts(fit: Fit) -> list[Reduction]:
+    """Triangles ``[parameters | rate | residual]`` of the positions about the fit, each without a phase of its own."""
+    layout, estimate = fit.runs.layout, fit.estimate
+    at = list(range(layout.size + (0 if fit.design.has_phases else estimate.phases.size)))
+    names, positions = (*map(str, at), RATE), fit.runs.positions(0, estimate)
+    return [
+        Reduction(names, parameter_rows(layout, estimate, p, at, local=fit.design.has_phases), p.part.count)
+        for p in positions
+    ]
 
 
 def _scattered(fit: Fit) -> Array:
     """Increments by the likeliest rates of the positions, where they scatter; otherwise they would look like bad samples."""
     positions, m = Positions.of(fit.design.run), len(fit.design.names)
     rates = np.zeros(positions.count)
-    pairs = zip(fit.runs.positions(0, fit.servo), positions.segments.tolist(), strict=True)
+    pairs = zip(fit.runs.positions(0, fit.estimate), positions.segments.tolist(), strict=True)
     for k, (position, segment) in enumerate(pairs):
         rows, variance = position.part.factor, position.variance
         own, missed = rows[:, m], rows[:, -1] - rows[:, :m] @ fit.values[segment]

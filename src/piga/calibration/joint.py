@@ -15,7 +15,7 @@ import numpy as np
 from piga._version import __version__
 from piga.calibration.fit import Fit, fit_run
 from piga.calibration.intervals import Interval, find_interval
-from piga.calibration.model.design import Design, ServoState, given_servo
+from piga.calibration.model.design import Design, given_servo
 from piga.calibration.model.identifiability import Examination, refuse_useless
 from piga.calibration.model.request import Request, check_per_run, make_request
 from piga.calibration.model.solution import Estimate, asked_order
@@ -52,7 +52,7 @@ _WORST = ("waived", "stated", "bounded", "assumed", "unstated")
 
 @dataclass(frozen=True)
 class JointFit(MergedRuns):
-    """The solution of merged runs: those with raw data, estimate with its interval, named coefficients, servo state."""
+    """The solution of merged runs: those with raw data, estimate with its interval, named coefficients."""
 
     live: tuple[Fit | None, ...]
     estimate: Estimate
@@ -60,7 +60,6 @@ class JointFit(MergedRuns):
     coefficients: tuple[Coefficient, ...]
     covariance: Array
     examination: Examination
-    servo: ServoState | None
 
     @property
     def degrees(self) -> Array:
@@ -83,7 +82,7 @@ class JointFit(MergedRuns):
         own, summary = live.design, self.summaries[index]
         if own.request.terms != summary.terms or own.scale_factor != summary.inner_scale_factor:
             own = Design(live.run, replace(live.request, terms=summary.terms), summary.inner_scale_factor)
-        return self.design_at(own, self.estimate, self.servo, index)
+        return own, self.values_in_segments(own, self.estimate, index)
 
     def moved(self, change: Array) -> Array:
         """Change of the coefficients (n,; file units) by a change of the internal parameters."""
@@ -107,7 +106,7 @@ class JointFit(MergedRuns):
             return self
         quiet = tuple(one.weighted(replace(one.noise, scatter=0.0)) for one in self.summaries)
         fit = replace(self, summaries=quiet)
-        state, examination, estimate = fit.solved()
+        examination, estimate = fit.solved()
         coefficients, covariance = fit.named(estimate, estimate.covariance)
         return replace(
             fit,
@@ -115,7 +114,6 @@ class JointFit(MergedRuns):
             coefficients=coefficients,
             covariance=covariance,
             examination=examination,
-            servo=state,
         )
 
 
@@ -130,9 +128,9 @@ def merge_runs(
     ``live`` are the fits of those with raw data.
     """
     runs = MergedRuns.of(summaries, terms, per_run)
-    state, examination, estimate = runs.solved()
+    examination, estimate = runs.solved()
     stated = any(summary.noise.stated for summary in summaries)
-    interval = find_interval(runs.layout, estimate, runs.repetitions(state), stated=stated)
+    interval = find_interval(runs.layout, estimate, runs.repetitions(estimate), stated=stated)
     coefficients, covariance = runs.named(estimate, interval.covariance)
     return JointFit(
         **vars(runs),
@@ -142,7 +140,6 @@ def merge_runs(
         coefficients=coefficients,
         covariance=covariance,
         examination=examination,
-        servo=state,
     )
 
 
@@ -388,7 +385,7 @@ def with_sources(
     run = design.means.run
     moving = [(source, True) for source in sources(run)]
     moving += [(source, False) for source in units_of(run)] if units else []
-    plain = Design(run, fitted.request, fitted.scale_factor, fitted.servo)
+    plain = Design(run, fitted.request, fitted.scale_factor)
     known, changes = residual_increments(plain, values)[0], []
     for source, _ in moving:
         steps.part(f"adding up the budget: {source.name}")
@@ -430,9 +427,8 @@ def with_all_sources(fit: JointFit, steps: Steps = SILENT) -> JointFit:
     for index, live in enumerate(fit.live):
         if live:
             design, values = fit.design_of(index, live)
-            plain = design.with_servo(None)
             summaries[index] = with_sources(
-                summaries[index], plain, design, values, live.mode, units=True, steps=steps
+                summaries[index], design, design, values, live.mode, units=True, steps=steps
             )
     return replace(fit, summaries=tuple(summaries))
 
@@ -489,7 +485,7 @@ def _scores(fit: JointFit, index: int) -> Array:
     warm = [number for number, source in enumerate(summary.sources) if stored and source.name == "temperature"]
     beside = tuple(dict.fromkeys(_WARMED.values())) if warm else ()
     values, m, result = fit.values_of(fit.estimate, index), len(wanted), []
-    for position in fit.positions(index, fit.servo, (RATE, *names, *beside)):
+    for position in fit.positions(index, fit.estimate, (RATE, *names, *beside)):
         rows = position.part.without((RATE,), position.variance).factor
         columns, others = rows[:, m : m + len(names)], rows[:, m + len(names) : -1]
         own = dict(zip(wanted, values[position.group - fit.first_group(index)], strict=True))

@@ -21,8 +21,9 @@ import numpy as np
 
 from piga.calibration.intervals import parameter_rows
 from piga.calibration.joint import JointFit, merge_runs
-from piga.calibration.model.design import STIFFNESS_COLUMNS, Design, Names, ServoState, phaseless_columns
+from piga.calibration.model.design import Design, Names
 from piga.calibration.model.reduction import Reduction, solve_upper
+from piga.calibration.model.solution import STIFFNESS_COLUMNS, phaseless_columns
 from piga.calibration.sources import across_squared
 from piga.calibration.summary import RunSummary, repetitions
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
@@ -191,7 +192,7 @@ class Candidates:
     @classmethod
     def of(cls, fit: JointFit) -> Candidates:
         """The candidates of a fit without slow noise; none where the phase comes from the input."""
-        estimate, layout, state = fit.estimate, fit.layout, fit.servo
+        estimate, layout = fit.estimate, fit.layout
         pairs = [
             constant_squares(live.run) if live else _stored_squares(summary)
             for live, summary in zip(fit.live, fit.summaries, strict=True)
@@ -204,10 +205,8 @@ class Candidates:
         alone = [layout.coupled and len(one.labels) == 1 for one in fit.summaries for _ in one.labels]
         common = [*range(layout.size), *(layout.size + group for group in np.flatnonzero(alone).tolist())]
         summaries = tuple(_wide(fit, index, order) if order else one for index, one in enumerate(fit.summaries))
-        if state is None and layout.coupled:
-            state = ServoState(tuple(estimate.phases.tolist()), stiffness=0.0, damping=0.0, inverse=0.0)
         pieces = []
-        for part in replace(fit, summaries=summaries).repetitions(state, (RATE, *order)) if order else ():
+        for part in replace(fit, summaries=summaries).repetitions(estimate, (RATE, *order)) if order else ():
             local = layout.coupled and not alone[part.group]
             rows = parameter_rows(layout, estimate, part, common, local=local)
             columns = (*map(str, common), RATE, *order)
@@ -252,14 +251,14 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     if live is None:
         return summary
     run, segments = live.run, sum(len({p.name for p in one.positions}) for one in fit.summaries)
-    design = fit.design_of(index, live)[0].with_servo(None)
+    design = fit.design_of(index, live)[0]
     positions = Positions.of(run)
     if not positions.continuous and segments < len(fit.layout.columns) + len(extra[:2]) + _SPARE:
         positions = positions.cut(math.ceil(_PIECES / segments))
     terms = tuple(dict.fromkeys("tan_beta" if name in ("p", "q") else name for name in extra))
     wider = Design(run, replace(design.request, terms=terms), design.scale_factor)
     new = [name for name in wider.names if name not in design.names]
-    at, others = [wider.names.index(name) for name in new], design.means.beside(wider.request, None)
+    at, others = [wider.names.index(name) for name in new], design.means.beside(wider.request)
     more = Extra(tuple(new), lambda _: next(others).columns[at])
     reduced = reduce_positions(design, live.mode, summary.noise, positions, more)
     variances = summary.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)

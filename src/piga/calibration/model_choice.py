@@ -21,7 +21,7 @@ import numpy as np
 from piga.calibration.fit import Fit
 from piga.calibration.intervals import inverse_root
 from piga.calibration.joint import fit_determined
-from piga.calibration.model.design import Design, ServoState
+from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, check_servo, make_request
@@ -345,7 +345,7 @@ class UnionReduction:
         runs = MergedRuns.of([self.summary], terms)
         try:
             check_servo(replace(self.fit.design.request, terms=terms))
-            state, _, estimate = runs.solved()
+            _, estimate = runs.solved()
             coefficients, alike = self._named(runs, estimate)
         except (CalibrationError, IdentifiabilityError) as error:
             return TermSet(terms, error.message, error.remedy)
@@ -360,12 +360,12 @@ class UnionReduction:
             log_likelihood=likelihood,
             bic=m * math.log(n) - 2.0 * likelihood,
             aic=2.0 * m - 2.0 * likelihood,
-            prediction=self._predicted(runs, state) if predict and not own_phases else None,
+            prediction=self._predicted(runs, estimate) if predict and not own_phases else None,
             coefficients=coefficients,
         )
 
-    def _predicted(self, runs: MergedRuns, state: ServoState | None) -> HeldOutPrediction | None:
-        parts = [repetition.part for repetition in runs.repetitions(state, (_PROBE,))]
+    def _predicted(self, runs: MergedRuns, estimate: Estimate) -> HeldOutPrediction | None:
+        parts = [repetition.part for repetition in runs.repetitions(estimate, (_PROBE,))]
         return predict(parts, self.summary.inner_scale_factor)
 
     def _named(self, runs: MergedRuns, estimate: Estimate) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:

@@ -142,7 +142,7 @@ def suspicious(d: Array, h: Array, mode: str, noise: Noise, run: Run, parameters
     return largest / unit > limit(d.size, parameters) * min(max(core, 0.5), 1.0)
 
 
-def robust_values(design: Design) -> Array:
+def robust_values(design: Design, layout: Layout) -> Array:
     """Column coefficients (segments, m) of a fit that bad samples do not affect: iteratively reweighted least squares.
 
     The weights of the least absolute residuals come first, then Tukey's. A spike spoils two increments by opposite amounts.
@@ -150,7 +150,7 @@ def robust_values(design: Design) -> Array:
     than half of them may be bad.
     """
     parts = _parts(design)
-    values = _weighted(design, parts, [np.ones(columns.shape[1]) for _, columns in parts])
+    values = _weighted(design, layout, parts, [np.ones(columns.shape[1]) for _, columns in parts])
     for step in range(_ABSOLUTE_FITS + _TUKEY_FITS):
         sizes = [np.abs(columns[-1] - values[s] @ columns[:-1]) for s, columns in parts]
         spread = max(float(np.quantile(np.concatenate(sizes), 0.25)) / _NORMAL_QUARTER, 1e-300)
@@ -159,7 +159,7 @@ def robust_values(design: Design) -> Array:
         else:
             weights = [1.0 - np.minimum(size / (_TUKEY * spread), 1.0) ** 2 for size in sizes]
         try:
-            values = _weighted(design, parts, weights)
+            values = _weighted(design, layout, parts, weights)
         except np.linalg.LinAlgError:
             return values
     return values
@@ -194,16 +194,13 @@ def _joined(run: Run) -> int:
     return count
 
 
-def _weighted(design: Design, parts: list[tuple[int, Array]], weights: list[Array]) -> Array:
+def _weighted(design: Design, layout: Layout, parts: list[tuple[int, Array]], weights: list[Array]) -> Array:
     """Column coefficients (segments, m) of weighted least squares; ``weights`` are roots."""
     summaries = [Reduction.empty(design.names) for _ in design.run.labels]
     for (segment, columns), weight in zip(parts, weights, strict=True):
         used = weight > 0.0
         summaries[segment].absorb(np.ascontiguousarray(columns[:, used] * weight[used]))
     groups = merged_groups(summaries, design.groups)
-    layout = Layout.of_one(
-        "p" in design.local_names, design.request.harmonics, design.shared_names, len(groups)
-    )
     estimate = solve_parts(layout, groups)
     phases = estimate.phases if layout.coupled else np.zeros(len(groups))
     return np.array([layout.linear(estimate.amplitudes, phases[g], g) for g in design.groups])

@@ -70,7 +70,7 @@ def find_leverage(
     uncertainties. The leverages are together the number of parameters; a share is ``1 - (u/u_without)^2``. Empty for several
     runs, for one segment, and beyond ``_MOST_SEGMENTS``.
     """
-    layout, estimate, repetitions = quiet.layout, quiet.estimate, quiet.repetitions(quiet.servo)
+    layout, estimate, repetitions = quiet.layout, quiet.estimate, quiet.repetitions(quiet.estimate)
     labels = fit.only.run.labels if fit.only else ()
     if not 1 < len(labels) <= _MOST_SEGMENTS:
         return {}, (), ()

@@ -18,19 +18,22 @@ import msgspec
 import numpy as np
 
 from piga.calibration.intervals import Repetition
-from piga.calibration.model.design import PHASELESS, Design, Names, ServoState, given_servo, phaseless_columns
+from piga.calibration.model.design import Design, Names, given_servo
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import (
+    PHASELESS,
     Estimate,
     Layout,
     Owner,
+    at_phase,
     merged_groups,
     name_parameters,
+    phaseless_columns,
     solve_parts,
 )
-from piga.calibration.servo import at_state, state_of
+from piga.calibration.servo import refuse_if_servo_alike
 from piga.calibration.weights import RATE, Noise, Positions
 from piga.errors import CalibrationError
 from piga.output import check_results
@@ -330,6 +333,27 @@ def _ranges(run: Run) -> dict[str, tuple[float, float]]:
     return ranges
 
 
+def _given_servo(summaries: Sequence[RunSummary]) -> dict[str, float]:
+    """K times the servo coefficients that the runs give.
+
+    Raises
+    ------
+    CalibrationError
+        If they give different ones.
+    """
+    given = [{name: s.inner_scale_factor * size for name, size in s.known_servo} for s in summaries]
+    for summary, own in zip(summaries, given, strict=True):
+        alike = own.keys() == given[0].keys() and all(
+            abs(size - given[0][name]) <= _SAME_SERVO * abs(size) for name, size in own.items()
+        )
+        if not alike:
+            raise CalibrationError(
+                f"run '{summaries[0].name}' and run '{summary.name}' give different parameters of the servo",
+                remedy="write the same [instrument] servo in all run files of an instrument, or in none",
+            )
+    return given[0]
+
+
 @dataclass(frozen=True)
 class MergedRuns:
     """Runs to solve together: union of their terms, those with a value in each run, summaries, common layout.
@@ -346,12 +370,10 @@ class MergedRuns:
     @classmethod
     def of(cls, summaries: Sequence[RunSummary], terms: Names, per_run: Names = ()) -> MergedRuns:
         """The runs with the layout of the request. A run has those of the ``per_run`` terms that it asks for."""
-        shared = tuple(
-            shared_of(tuple(t for t in terms if t not in per_run or t in summary.terms))
-            for summary in summaries
-        )
+        steady = tuple(name for name in shared_of(terms) if name not in SERVO_TERMS)
+        shared = tuple(tuple(t for t in steady if t not in per_run or t in one.terms) for one in summaries)
         keys: list[tuple[str, str | None]] = []
-        for term in shared_of(terms):
+        for term in steady:
             if term in per_run:
                 keys += [(term, s.name) for s, own in zip(summaries, shared, strict=True) if term in own]
             else:
@@ -360,7 +382,9 @@ class MergedRuns:
         for summary, own in zip(summaries, shared, strict=True):
             at = [keys.index((t, summary.name if t in per_run else None)) for t in own]
             tails += [np.array(at, dtype=np.int64)] * len(summary.labels)
-        layout = Layout("tan_beta" in terms, harmonics_of(terms), tuple(keys), tuple(tails))
+        servo = tuple(name for name in SERVO_TERMS if name in terms)
+        given = tuple(item for item in _given_servo(summaries).items() if item[0] not in servo)
+        layout = Layout("tan_beta" in terms, harmonics_of(terms), tuple(keys), tuple(tails), servo, given)
         return cls(terms, per_run, tuple(summaries), layout, shared)
 
     @property
@@ -383,45 +407,33 @@ class MergedRuns:
         """Columns of a run in the fit."""
         return self.summaries[index].columns(self.local, self.shared[index])
 
-    def known_servo(self, index: int) -> dict[str, float]:
-        """K times the servo coefficients that a run gives and that are not estimated."""
-        summary = self.summaries[index]
-        return {
-            name: summary.inner_scale_factor * size
-            for name, size in summary.known_servo
-            if name not in self.shared[index]
-        }
-
     def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
-        """Changes of ``known_servo`` by each source of a run that moves it, by its column.
+        """Changes of the given servo by each source of a run that moves it, by its column.
 
         The fit that made the column may have estimated the servo, or had another phase.
         """
-        summary, known = self.summaries[index], self.known_servo(index)
+        summary, given = self.summaries[index], dict(self.layout.given)
+        own, scale = dict(summary.known_servo), summary.inner_scale_factor
         return {
-            source_column(number): {
-                name: summary.inner_scale_factor * size - known[name]
-                for name, size in source.known_servo
-                if name in known
-            }
+            source_column(number): {n: scale * (own[n] - size) for n, size in source.known_servo if n in given}
             for number, source in enumerate(summary.sources)
             if source.known_servo
         }
 
-    def positions(self, index: int, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
-        """The positions of one run, with the columns of the fit and those ``beside`` them.
+    def positions(
+        self, index: int, estimate: Estimate | None = None, beside: Names = (RATE,)
+    ) -> list[Repetition]:
+        """The positions of one run, with the columns of the fit and those ``beside`` them, of servo terms at the phase.
 
         Raises
         ------
         CalibrationError
             If the summary lacks a column.
         """
-        summary, first, shared = self.summaries[index], self.first_group(index), self.shared[index]
-        held, known, moved = summary.positions[0].part.names, self.known_servo(index), self._moved_servo(index)
-        plain = tuple(name for name in (*shared, *beside) if name not in SERVO_TERMS)
-        stored = summary.columns(self.local, plain + phaseless_columns((*shared, *beside, *known)))
-        wanted = (*self.wanted(index), *beside)
-        missing = [name for name in stored if name not in held]
+        summary, first, moved = self.summaries[index], self.first_group(index), self._moved_servo(index)
+        held, wanted = summary.positions[0].part.names, (*self.wanted(index), *beside)
+        plain = tuple(name for name in wanted if name not in SERVO_TERMS)
+        missing = [name for name in (*plain, *phaseless_columns(wanted)) if name not in held]
         if missing:
             raise CalibrationError(
                 f"the summary of run '{summary.name}' has no column for {', '.join(missing)}",
@@ -432,75 +444,53 @@ class MergedRuns:
             part, group = position.part, first + position.group
             if "scale_factor" in held and "scale_factor" not in plain:
                 part = part.less("scale_factor", summary.scale_factor)
-            part = part.select(stored)
-            if state is not None:
-                part = at_state(part, wanted, state, group, known, moved)
+            phase = float(estimate.phases[group]) if estimate and self.layout.coupled else 0.0
             name = f"{summary.name}:{position.name}" if summary.name else position.name
+            part = at_phase(part, wanted, phase, moved)
             result.append(replace(position, part=part, group=group, run=index, name=name))
         return result
 
-    def repetitions(self, state: ServoState | None, beside: Names = (RATE,)) -> list[Repetition]:
+    def repetitions(self, estimate: Estimate, beside: Names = (RATE,)) -> list[Repetition]:
         """The positions of all runs, with the columns of the fit and those ``beside`` them.
 
         The blocks of a run that holds one position are one repetition: their scatter does not show that of positions.
         """
         result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
-            held = self.positions(index, state, beside)
+            held = self.positions(index, estimate, beside)
             if summary.holds_one_position and len(self.summaries) > 1:
                 whole = Reduction.stacked([block.part for block in held])
                 held = [replace(held[0], part=whole, name=summary.name, end=held[-1].end, block=False)]
             result += held
         return result
 
-    def parts(self, state: ServoState | None) -> list[Reduction]:
+    def parts(self) -> list[Reduction]:
         """Triangles ``[columns | y]`` of all phase groups, with the scatter of the positions in their weights."""
-        held = [p for index in range(len(self.summaries)) for p in self.positions(index, state)]
+        held = [p for index in range(len(self.summaries)) for p in self.positions(index)]
         alone = [position.part.without((RATE,), position.variance) for position in held]
         return merged_groups(alone, tuple(position.group for position in held))
 
-    def servo_state(self) -> ServoState | None:
-        """State that combines the servo columns in all phase groups; None without servo terms.
+    def solved(self) -> tuple[Examination, Estimate]:
+        """Examination and estimate.
 
         Raises
         ------
         CalibrationError
-            If the runs give different parameters of the servo.
-        """
-        known = [self.known_servo(index) for index in range(len(self.summaries))]
-        if not any(known) and not any(name in SERVO_TERMS for names in self.shared for name in names):
-            return None
-        for index, given in enumerate(known):
-            alike = given.keys() == known[0].keys() and all(
-                abs(size - known[0][name]) <= _SAME_SERVO * abs(size) for name, size in given.items()
-            )
-            if not alike:
-                first, other = self.summaries[0].name, self.summaries[index].name
-                raise CalibrationError(
-                    f"run '{first}' and run '{other}' give different parameters of the servo",
-                    remedy="write the same [instrument] servo in all run files of an instrument, or in none",
-                )
-        wanted = [self.wanted(index) for index, summary in enumerate(self.summaries) for _ in summary.labels]
-        several = all(len(summary.labels) > 1 for summary in self.summaries)
-        return state_of(
-            self.layout, self.parts(None), wanted, known[0], per_segment=several, runs=len(self.summaries)
-        )
-
-    def solved(self) -> tuple[ServoState | None, Examination, Estimate]:
-        """State of the servo columns, examination and estimate.
-
-        Raises
-        ------
-        CalibrationError
-            If a column of a summary is missing, or the runs give different parameters of the servo.
+            If a column of a summary is missing.
         IdentifiabilityError
             If the runs together cannot separate what is asked.
         """
-        state = self.servo_state()
-        parts = self.parts(state)
+        parts, runs = self.parts(), len(self.summaries)
+        if self.layout.coupled and self.layout.servo_columns:
+            several = all(len(summary.labels) > 1 for summary in self.summaries)
+            refuse_if_servo_alike(self.layout, parts, per_segment=several, runs=runs)
+            estimate = solve_parts(self.layout, parts)
+            examination = examine_parts(self.layout, parts, estimate.phases.tolist())
+            refuse_if_confounded(examination, runs)
+            return examination, estimate
         examination = examine_parts(self.layout, parts)
-        refuse_if_confounded(examination, len(self.summaries))
-        return state, examination, solve_parts(self.layout, parts)
+        refuse_if_confounded(examination, runs)
+        return examination, solve_parts(self.layout, parts)
 
     def values_of(self, estimate: Estimate, index: int) -> Array:
         """Coefficients of the columns of a run in each of its phase groups."""
@@ -510,18 +500,10 @@ class MergedRuns:
             [self.layout.linear(estimate.amplitudes, phases[g], g) for g in range(first, first + count)]
         )
 
-    def design_at(
-        self, design: Design, estimate: Estimate, state: ServoState | None, index: int = 0
-    ) -> tuple[Design, Array]:
-        """A design of a run with its servo columns at the phases of an estimate, and its coefficients in each segment."""
+    def values_in_segments(self, design: Design, estimate: Estimate, index: int = 0) -> Array:
+        """Coefficients of the columns of a design of a run in each of its segments."""
         segments, values = len(design.run.labels), self.values_of(estimate, index)
-        if len(values) != segments:
-            values = np.tile(values[0], (segments, 1))
-        if state is not None:
-            first = self.first_group(index)
-            own = state.phases[first : first + len(self.summaries[index].labels)]
-            state = replace(state, phases=own if len(own) == segments else own * segments)
-        return design.with_servo(state), values
+        return values if len(values) == segments else np.tile(values[0], (segments, 1))
 
     def named(self, estimate: Estimate, covariance: Array) -> tuple[tuple[Coefficient, ...], Array]:
         """Coefficients of all runs in file units, and their covariance, from that of the internal parameters."""

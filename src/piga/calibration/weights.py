@@ -364,30 +364,29 @@ def joined(d: Array, h: Array, edges: NDArray[np.int64], every: int) -> tuple[Ar
     return np.add.reduceat(d, starts), total, np.searchsorted(starts, edges)
 
 
-def find_scatter(parts: Sequence[Reduction], noise: Noise, local: tuple[str, ...] = ()) -> Noise:
+def find_scatter(parts: Sequence[Reduction], noise: Noise, *, phases: bool = False) -> Noise:
     """``noise`` with the likeliest scatter of the rates of the positions, not negative.
 
     Parameters
     ----------
     parts:
-        Triangles ``[model | rate | y]`` of the positions.
+        Triangles ``[parameters | rate | residual]`` of the positions.
     noise:
         White noise, walk and stated scatter.
-    local:
-        Columns with coefficients of their own in each position.
+    phases:
+        Each position has a phase of its own, which is not among the parameters.
     """
     from scipy.optimize import minimize_scalar
 
-    free = [part.without(local) if local else part for part in parts]
-    m = len(free[0].names) - 1
-    if len(free) <= 2:
+    m = len(parts[0].names) - 1
+    if len(parts) <= 2:
         return replace(noise, scatter=0.0)
-    total = triangle(np.vstack([part.factor[:, [*range(m), m + 1]] for part in free]))
+    total = triangle(np.vstack([part.factor[:, [*range(m), m + 1]] for part in parts]))
     size = np.linalg.norm(total[:, :m], axis=0)
     size[size == 0.0] = 1.0
     fitted = np.linalg.lstsq(total[:m, :m] / size, total[:m, m], rcond=1e-12)[0] / size
     grams = []
-    for part in free:
+    for part in parts:
         rows = np.column_stack(
             [part.factor[:, :m] / size, part.factor[:, m], part.factor[:, m + 1] - part.factor[:, :m] @ fitted]
         )
@@ -395,8 +394,8 @@ def find_scatter(parts: Sequence[Reduction], noise: Noise, local: tuple[str, ...
     gram = np.array(grams)
     A, b, c = gram[:, :m, :m], gram[:, :m, m + 1], gram[:, m + 1, m + 1]
     u, s, z = gram[:, :m, m], gram[:, m, m], gram[:, m, m + 1]
-    freedom = max(sum(part.count for part in free) - m - len(local) * len(free), 1)
-    stated = replace(noise, scatter=0.0).rate_variances(len(free))
+    freedom = max(sum(part.count for part in parts) - m - phases * len(parts), 1)
+    stated = replace(noise, scatter=0.0).rate_variances(len(parts))
 
     def deviance(scatter: float) -> float:
         tau = stated + scatter

@@ -276,7 +276,7 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], 
     tables = np.empty((len(candidates), len(dwells), m, m))
     for k, summary in enumerate(tests):
         once = replace(fit, summaries=(summary,))
-        for place, position in enumerate(once.positions(0, fit.servo)):
+        for place, position in enumerate(once.positions(0, fit.estimate)):
             factor = position.part.without((RATE,), position.variance).factor[:, :-1]
             rows = factor @ fit.estimate.jacobians[position.group]
             own = rows[:, m + position.group :][:, :1]  # the phase of the visit alone; empty if it is common
@@ -304,8 +304,8 @@ def predict(request: PlanRequest, name: str, visits: tuple[Visit, ...]) -> Predi
     coefficients = tuple(
         replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, fit.degrees, strict=True)
     )
-    fitted, values = fit.design_at(design, fit.estimate, fit.servo)
-    moved = replace(fit, summaries=(with_sources(summary, design, fitted, values, mode),))
+    values = fit.values_in_segments(design, fit.estimate)
+    moved = replace(fit, summaries=(with_sources(summary, design, design, values, mode),))
     squares = sum(
         (np.sum(change**2, axis=0) for _, change in effects(moved, stated=True)), np.zeros(len(named))
     )

@@ -106,6 +106,23 @@ def test_a_negative_coupling_is_a_positive_one_half_a_turn_away() -> None:
     assert covariance[at] == pytest.approx(-(plain[0, 7] - tangent * plain[5, 7]) / K, rel=1e-9)
 
 
+@pytest.mark.parametrize("given", [(), (("servo_damping", 0.2),)])
+def test_the_derivative_of_a_layout_with_a_servo(given: tuple[tuple[str, float], ...]) -> None:
+    """Derivatives of the column coefficients by amplitudes and phases are those of finite differences."""
+    layout = Layout(True, (2,), (("k0", None),), (np.array([0]),) * 2, ("servo",), given)
+    values, step = np.array([1.3, 0.1, -0.2, 0.3, 0.7, 0.4, -2.0]), 1e-6
+
+    def coefficients(x: np.ndarray) -> np.ndarray:
+        return np.array([layout.linear(x[: layout.size], x[layout.size + g], g) for g in range(2)])
+
+    exact = layout.derivative(values[: layout.size], values[layout.size :])
+    for k, row in enumerate(step * np.eye(values.size)):
+        moved = (coefficients(values + row) - coefficients(values - row)) / (2.0 * step)
+        assert moved == pytest.approx(exact[:, :, k], abs=1e-8)
+    one = replace(layout, tails=layout.tails[:1])
+    assert one.from_linear(coefficients(values)[0], 0.4) == pytest.approx(values[: layout.size], abs=1e-12)
+
+
 GROUPS = 5
 
 

@@ -5,14 +5,14 @@ Integrated over a sample interval the error model (docs/theory/calibration) is l
     K, K tan_beta cos(phi), K tan_beta sin(phi), K k0, K k2, ...
 
 The two columns of the coupling and those of the harmonics turn with the unknown phase. They are *local* to a phase
-group. All others are *shared*. Column order: local, shared, observation. The servo terms turn with the phase, too. At a
-known phase each servo term is one column. If the phase is not known, five columns without a phase follow the others.
+group. All others are *shared*. Column order: local, shared, observation. The servo terms turn with the phase, too: five local
+columns span them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +32,7 @@ from piga._kernels.estimation import (
     smooth_bows,
 )
 from piga.calibration.model.request import Request, phase_angle
+from piga.calibration.model.solution import PHASELESS, phaseless_columns
 from piga.errors import DataError
 from piga.instrument.twin.linear import ServoParameters, servo_terms
 from piga.records.arrays import spans
@@ -41,55 +42,6 @@ from piga.results import Array
 from piga.terms import PRODUCTS
 
 Names = tuple[str, ...]
-
-STIFFNESS_COLUMNS = ("servo_mean", "servo_cosine", "servo_sine")
-_DAMPING_COLUMNS = ("damping_cosine", "damping_sine")
-PHASELESS = (*STIFFNESS_COLUMNS, *_DAMPING_COLUMNS)
-"""Servo columns without a phase, in the order of the kernel."""
-
-
-@dataclass(frozen=True)
-class ServoState:
-    """State at which the servo columns are combined.
-
-    ``phases`` [rad] of each segment (of each phase group in :func:`find_state`). ``stiffness`` and ``damping`` are K times
-    the coefficients (SI). ``inverse`` is ``1/(K tan_beta)``, or 0 if the phase is fixed. Without ``turning`` there is no phase,
-    and only the mean of the stiffness remains.
-    """
-
-    phases: tuple[float, ...]
-    stiffness: float
-    damping: float
-    inverse: float
-    turning: bool = True
-
-    def term_rows(self, phase: float) -> dict[str, Array]:
-        """Weights of the columns ``PHASELESS`` (5,) in each term at a phase."""
-        if not self.turning:
-            return {"servo": np.array([-1.0, 0.0, 0.0, 0.0, 0.0]), "servo_damping": np.zeros(5)}
-        return {
-            "servo": np.array([-1.0, np.cos(2.0 * phase), -np.sin(2.0 * phase), 0.0, 0.0]),
-            "servo_damping": np.array([0.0, 0.0, 0.0, -np.cos(phase), -np.sin(phase)]),
-        }
-
-    def phase_row(self, phase: float) -> Array:
-        """Weights in the derivative of both terms by the phase, times ``1/(K tan_beta)``."""
-        s, d = self.stiffness * self.inverse, self.damping * self.inverse
-        return np.array(
-            [
-                0.0,
-                -2.0 * s * np.sin(2.0 * phase),
-                -2.0 * s * np.cos(2.0 * phase),
-                d * np.sin(phase),
-                -d * np.cos(phase),
-            ]
-        )
-
-
-def phaseless_columns(terms: Sequence[str]) -> Names:
-    """Columns without a phase for the requested servo terms."""
-    held = STIFFNESS_COLUMNS if "servo" in terms else ()
-    return held + (_DAMPING_COLUMNS if "servo_damping" in terms else ())
 
 
 def given_servo(run: Run) -> dict[str, float]:
@@ -165,23 +117,21 @@ class Design:
 
     ``scale_factor`` is the K used inside regressors (base rate, sag): nominal at first, then estimated.
     ``per_segment`` is True if every segment has its own phase; ``groups`` is the phase group of every segment.
-    ``servo`` is the state of the servo columns, one phase per segment. If it is None, a model with servo terms has
-    columns without a phase in their place.
     """
 
     run: Run
     request: Request
     scale_factor: float
-    servo: ServoState | None = None
     _cache: dict[int, Block] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         run = self.run
         self.estimates_scale_factor = "scale_factor" in self.request.terms
-        self.local_names = self._local_names()
-        self.shared_names = self._shared_names()
+        self.turning_names = self._turning_names()
+        self.local_names = self.turning_names + phaseless_columns((*self.request.terms, *given_servo(self.run)))
+        self.shared_names = tuple(t for t in self.request.shared_terms if t not in SERVO_TERMS)
         self.names = self.local_names + self.shared_names
-        self.per_segment = self.request.phases == "per-segment" and bool(self.local_names)
+        self.per_segment = self.request.phases == "per-segment" and bool(self.turning_names)
         count = len(run.labels)
         self.groups = tuple(range(count)) if self.per_segment else (0,) * count
         self.point = run.kind == "rate"
@@ -191,31 +141,9 @@ class Design:
         self._ranges = _ranges(run)
         self._check_bend()
 
-    def _local_names(self) -> tuple[str, ...]:
+    def _turning_names(self) -> tuple[str, ...]:
         coupling = ("p", "q") if "tan_beta" in self.request.terms else ()
         return coupling + tuple(f"{kind}{order}" for order in self.request.harmonics for kind in ("s", "c"))
-
-    def _shared_names(self) -> tuple[str, ...]:
-        terms = self.request.shared_terms
-        if self.servo is not None or not self.turning_servo:
-            return terms
-        plain = tuple(name for name in terms if name not in SERVO_TERMS)
-        return plain + phaseless_columns(self.turning_servo)
-
-    @property
-    def turning_servo(self) -> tuple[str, ...]:
-        """Servo terms of the model, estimated or given."""
-        request = self.request
-        return tuple(name for name in SERVO_TERMS if name in request.terms or name in self.known_servo)
-
-    @property
-    def known_servo(self) -> dict[str, float]:
-        """K times the servo coefficients that are given and not estimated [SI]."""
-        return {
-            name: self.scale_factor * value
-            for name, value in given_servo(self.run).items()
-            if name not in self.request.terms
-        }
 
     @property
     def has_phases(self) -> bool:
@@ -236,21 +164,17 @@ class Design:
         absurd = relative > _MOST_CHANGE
         if relative < 1e-8 or absurd or (self.run.base_rate is None and relative < 1e-3):
             return self
-        return Design(self.run, self.request, scale_factor, self.servo)
-
-    def with_servo(self, state: ServoState | None) -> Design:
-        """The same model with servo columns combined at another state, or not combined (None)."""
-        return self if state == self.servo else Design(self.run, self.request, self.scale_factor, state)
+        return Design(self.run, self.request, scale_factor)
 
     def of(self, run: Run) -> Design:
         """The same model, from means of as many samples, for a record with the same segments."""
-        result = Design(run, self.request, self.scale_factor, self.servo)
+        result = Design(run, self.request, self.scale_factor)
         result.__dict__["mean_size"] = self.mean_size
         return result
 
     def with_phase_of(self, other: Design) -> Design:
         """The same observations with the phase of another output reading inside the regressors."""
-        result = Design(self.run, self.request, other.scale_factor, other.servo)
+        result = Design(self.run, self.request, other.scale_factor)
         result.phase_angle = other.phase_angle
         return result
 
@@ -281,7 +205,7 @@ class Design:
         lengths = np.diff(np.append(np.flatnonzero(run.begins), run.size))
         most = min(most, np.diff(run.segment_edges()).min() // _SHARED)
         most = min(most, 2 * np.median(lengths) // _SHARED)
-        if self.local_names:
+        if self.turning_names:
             orders = max((1, *self.request.harmonics))
             every = run.size // _MEANS
             turn = float(np.quantile(np.abs(np.diff(self.phase_angle[::every])), 0.9)) / every
@@ -317,12 +241,12 @@ class Design:
         """Rows of the design from samples of the record."""
         return samples
 
-    def beside(self, request: Request, servo: ServoState | None) -> Iterator[Block]:
+    def beside(self, request: Request) -> Iterator[Block]:
         """Blocks of the columns of another request, row by row beside those of this design.
 
         Of means they are the columns of the mean inputs, not the means of the columns. They differ by less than a percent.
         """
-        other = Design(self.run, request, self.scale_factor, servo)
+        other = Design(self.run, request, self.scale_factor)
         other._ranges, other.phase_angle = self._ranges, self.phase_angle
         yield from other.blocks(keep=False)
 
@@ -346,8 +270,6 @@ class Design:
         inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
         self._fill_local(columns, window, force, inner_h, bows)
         self._fill_shared(columns, window, force, inner_h, bows)
-        if self.turning_servo:
-            self._fill_servo(columns, window, force, inner_h, segment)
         if self.run.left_out is not None:
             self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
         return Block(stop - h.size, stop, segment, h, columns)
@@ -422,6 +344,10 @@ class Design:
             one = np.ones(psi.size), np.zeros(psi.size)
             coupling_columns(psi, *one, straight, h, bend, float(order), turned[row : row + 2])
             row += 2
+        if row < count:
+            held = np.empty((len(PHASELESS), h.size))
+            servo_columns(psi, x, y, z, h, bend, held)
+            turned[row:] = held[[PHASELESS.index(name) for name in self.local_names[row:]]]
         if self.point:
             columns[:count] = self._every(turned)
 
@@ -430,32 +356,6 @@ class Design:
         if self.run.base_rate is None:
             return force
         return np.ascontiguousarray(force - self.run.base_rate[window].T / self.scale_factor)
-
-    def _fill_servo(
-        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, segment: int
-    ) -> None:
-        """Servo columns; at a state, their addition to the coupling columns, and the known part."""
-        psi = np.ascontiguousarray(self.phase_angle[window])
-        x, y, z = self._turning(window, force)
-        bend = -self.scale_factor / 8.0 * h * np.diff(x)
-        raw = np.empty((len(PHASELESS), h.size))
-        servo_columns(psi, x, y, z, h, bend, raw)
-        held = np.stack([self._every(row) for row in raw])
-        if self.servo is None:
-            for name in phaseless_columns(self.turning_servo):
-                columns[self.names.index(name)] = held[PHASELESS.index(name)]
-            return
-        phase = self.servo.phases[segment]
-        terms = self.servo.term_rows(phase)
-        if self.servo.turning:
-            turn = self.servo.phase_row(phase) @ held
-            columns[0] -= np.sin(phase) * turn
-            columns[1] += np.cos(phase) * turn
-        for name in self.turning_servo:
-            if name in self.request.terms:
-                columns[self.names.index(name)] = terms[name] @ held
-        for name, value in self.known_servo.items():
-            columns[-1] -= value * (terms[name] @ held)
 
     def _fill_shared(
         self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
@@ -466,8 +366,6 @@ class Design:
         vibration = NONE if self.run.vibration is None else self.run.vibration[window]
         held = np.empty(h.size)
         for row, name in enumerate(self.shared_names, start=len(self.local_names)):
-            if name in SERVO_TERMS or name in PHASELESS:
-                continue
             factors = PRODUCTS[name]
             out = held if self.point else columns[row]
             product_column(factors, t, force, temperature, h, out, vibration)
@@ -481,7 +379,7 @@ class Design:
         return column[..., ::2] if self.point else column
 
     def _check_bend(self) -> None:
-        if not self.local_names or self.point:
+        if not self.turning_names or self.point:
             return
         run, worst, at = self.run, 0.0, 0
         for rows in spans(run.size - 1):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Layout
+from piga.calibration.model.solution import Layout, at_phase
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.calibration.diagnostics import SegmentScatter
@@ -101,12 +102,19 @@ def term_of(column: str) -> str:
     return "tan_beta" if column in ("p", "q") else column
 
 
-def examine_parts(layout: Layout, parts: list[Reduction]) -> Examination:
+def examine_parts(layout: Layout, parts: list[Reduction], phases: Sequence[float] = ()) -> Examination:
     """Rank and condition of the request for all phase groups together.
 
     Names the terms of all directions without information. With several groups, the coupling
-    columns of all groups count as one direction each.
+    columns of all groups count as one direction each, and those of a servo term at the ``phases`` as one.
     """
+    if layout.servo_columns:
+        names = (*layout.columns[: layout.turning], *layout.servo)
+        parts = [
+            at_phase(part, (*names, *part.names[layout.local :]), phase)
+            for part, phase in zip(parts, phases or (0.0,) * len(parts), strict=True)
+        ]
+        layout = layout.with_servo_among_keys()
     names = layout.columns
     factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)

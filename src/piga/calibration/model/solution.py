@@ -8,8 +8,8 @@ solution. Names and file units are applied last.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,17 +30,60 @@ _STEPS = 200
 """Most steps from one start; ten are usual, and far more where a term that the model lacks moves a phase that is hardly seen."""
 _SCAN = 180
 """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
+_TRIALS = 25
+"""Phases from which one phase with a servo is fitted: six in a wave of the cost."""
 _INTEGRATIONS = 50
 """Steps to the coupling with the phases integrated out; few are needed unless it is below its noise."""
 _REFINEMENTS = 8
 """Newton steps from each of these minima; four are enough unless two of them lie close together."""
 
 
+STIFFNESS_COLUMNS = ("servo_mean", "servo_cosine", "servo_sine")
+"""Columns that the stiffness of a servo spans at any phase."""
+PHASELESS = (*STIFFNESS_COLUMNS, "damping_cosine", "damping_sine")
+"""Columns that the servo terms span, in the order of the kernel."""
+_SPANNED = {"servo": STIFFNESS_COLUMNS, "servo_damping": PHASELESS[3:]}
+
+
+def phaseless_columns(terms: Sequence[str]) -> tuple[str, ...]:
+    """Columns that span the servo terms among ``terms``."""
+    return tuple(column for name, columns in _SPANNED.items() if name in terms for column in columns)
+
+
+def servo_rows(phases: Array, derivative: int = 0) -> dict[str, Array]:
+    """Coefficients of the columns of each servo term at phases (.., columns) for a term of one, or a derivative by the phase."""
+    rows = {}
+    for name, order in (("servo", 2), ("servo_damping", 1)):
+        cosine, sine = np.cos(order * phases), np.sin(order * phases)
+        for _ in range(derivative):
+            cosine, sine = -order * sine, order * cosine
+        mean = np.full_like(cosine, 0.0 if derivative else -1.0)
+        rows[name] = np.stack([mean, cosine, -sine] if name == "servo" else [-cosine, -sine], axis=-1)
+    return rows
+
+
+def at_phase(
+    part: Reduction, wanted: Sequence[str], phase: float, moved: Mapping[str, Mapping[str, float]] | None = None
+) -> Reduction:
+    """The triangle of the wanted columns. Those of servo terms, and the ``moved`` sums of these, are combined at the phase."""
+    rows, matrix = servo_rows(np.asarray(phase)), np.zeros((len(part.names) + 1, len(wanted) + 1))
+    matrix[-1, -1] = 1.0
+    for column, name in enumerate(wanted):
+        sizes = (moved or {}).get(name, {name: 1.0} if name in _SPANNED else None)
+        if sizes is None:
+            matrix[part.names.index(name), column] = 1.0
+            continue
+        for term, size in sizes.items():
+            matrix[[part.names.index(spanned) for spanned in _SPANNED[term]], column] += size * rows[term]
+    return part.mixed(tuple(wanted), matrix)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Assigns a parameter to every column of every phase group.
 
-    The columns of a group are local (``p, q`` and the harmonics, which turn with its phase) or shared. ``keys`` name the
+    The columns of a group are local (``p, q``, the harmonics and those of the servo, whose coefficients turn with its phase) or
+    shared. ``servo`` are the estimated servo terms, ``given`` K times the others that the model contains. ``keys`` name the
     parameters of the shared columns of all groups as (term, run). The run is None if one parameter serves all runs.
     ``tails[g]`` are the indices into ``keys`` of the shared columns of group g.
     """
@@ -49,6 +92,8 @@ class Layout:
     orders: tuple[int, ...]
     keys: tuple[tuple[str, str | None], ...]
     tails: tuple[NDArray[np.int64], ...]
+    servo: tuple[str, ...] = ()
+    given: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def of_one(cls, coupled: bool, orders: tuple[int, ...], terms: Sequence[str], groups: int = 1) -> Layout:
@@ -56,19 +101,36 @@ class Layout:
         keys = tuple((name, None) for name in terms)
         return cls(coupled, orders, keys, (np.arange(len(keys)),) * groups)
 
+    def with_servo_among_keys(self) -> Layout:
+        """The layout of columns that are combined at a phase: the servo terms are shared columns."""
+        count = len(self.servo)
+        tails = tuple(np.append(np.arange(count), count + tail) for tail in self.tails)
+        keys = (*((name, None) for name in self.servo), *self.keys)
+        return replace(self, keys=keys, tails=tails, servo=(), given=())
+
+    @property
+    def servo_columns(self) -> tuple[str, ...]:
+        """Columns of the servo terms, estimated or given."""
+        return phaseless_columns((*self.servo, *dict(self.given)))
+
+    @property
+    def turning(self) -> int:
+        """Number of columns of the coupling and of the harmonics."""
+        return (2 if self.coupled else 0) + 2 * len(self.orders)
+
     @property
     def local(self) -> int:
         """Number of local columns."""
-        return (2 if self.coupled else 0) + 2 * len(self.orders)
+        return self.turning + len(self.servo_columns)
 
     @property
     def head(self) -> int:
         """Number of amplitudes before the ``keys``."""
-        return (1 if self.coupled else 0) + 2 * len(self.orders)
+        return (1 if self.coupled else 0) + 2 * len(self.orders) + len(self.servo)
 
     @property
     def size(self) -> int:
-        """Number of amplitudes: coupling, harmonics, ``keys``."""
+        """Number of amplitudes: coupling, harmonics, servo, ``keys``."""
         return self.head + len(self.keys)
 
     @property
@@ -76,9 +138,9 @@ class Layout:
         """(term, run) of every amplitude."""
         head: list[tuple[str, str | None]] = [("tan_beta", None)] if self.coupled else []
         head += [(f"{kind}{order}", None) for order in self.orders for kind in ("s", "c")]
-        return (*head, *self.keys)
+        return (*head, *((name, None) for name in self.servo), *self.keys)
 
-    def turned(self, amplitudes: Array, phases: Array, derivative: int = 0) -> Array:
+    def turned(self, amplitudes: Array, phases: Array, derivative: int = 0, *, given: bool = True) -> Array:
         """Coefficients of the local columns (.., local) at phases (..), or a derivative of them by the phase."""
         columns: list[Array] = []
         for order in (*((1,) if self.coupled else ()), *self.orders):
@@ -92,6 +154,16 @@ class Layout:
             s, c = amplitudes[at - self.coupled : at - self.coupled + 2]
             # the column named s_n is int(y sin - z cos) with y = 1, z = 0; c_n is int(y cos + z sin)
             columns += [s * cosine - c * sine, s * sine + c * cosine]
+        sizes = dict(zip(self.servo, amplitudes[self.head - len(self.servo) :], strict=False))
+        sizes |= dict(self.given) if given else dict.fromkeys(dict(self.given), 0.0)
+        rows = servo_rows(phases, derivative) if sizes else {}
+        if not self.coupled:  # no phase: the mean remains
+            rows = {
+                name: row * (np.arange(row.shape[-1]) == 0) * (name == "servo") for name, row in rows.items()
+            }
+        columns += [
+            sizes[name] * column for name in rows if name in sizes for column in np.moveaxis(rows[name], -1, 0)
+        ]
         return np.stack(columns, axis=-1) if columns else np.zeros((*phases.shape, 0))
 
     def linear(self, amplitudes: Array, phase: float, group: int) -> Array:
@@ -100,16 +172,16 @@ class Layout:
         return np.concatenate([local, amplitudes[self.head :][self.tails[group]]])
 
     def directions(self, phases: Array) -> Array:
-        """Derivative of ``turned`` by the amplitudes before the keys, (.., local, head); its columns are orthonormal."""
-        units = [self.turned(unit, phases) for unit in np.eye(self.head)]
-        return np.stack(units, axis=-1) if units else np.zeros((*phases.shape, 0, 0))
+        """Derivative of ``turned`` by the amplitudes before the keys, (.., local, head); its columns are orthogonal."""
+        units = [self.turned(unit, phases, given=False) for unit in np.eye(self.head)]
+        return np.stack(units, axis=-1) if units else np.zeros((*phases.shape, self.local, 0))
 
-    def from_linear(self, linear: Array, phase: float) -> Array:
+    def from_linear(self, linear: Array, phase: ArrayLike) -> Array:
         """Amplitudes (size, ..) from the column coefficients (columns, ..) of the only group."""
         along = self.directions(np.asarray(phase))
-        return np.concatenate(
-            [np.einsum("...lh,l...->h...", along, linear[: self.local]), linear[self.local :]]
-        )
+        own = np.moveaxis(linear[: self.local], 0, -1) - self.turned(np.zeros(self.head), np.asarray(phase))
+        head = np.einsum("...lh,...l->h...", along, own) / np.einsum("...lh,...lh->h...", along, along)
+        return np.concatenate([head, linear[self.local :]])
 
     def derivative(self, amplitudes: Array, phases: Array) -> Array:
         """Derivative of the coefficients of ``columns`` by ``[amplitudes, phases]``: (groups, columns, size + phases)."""
@@ -141,7 +213,11 @@ class Layout:
         """Names of the local columns and of ``keys``."""
         local: tuple[str, ...] = ("p", "q") if self.coupled else ()
         local += tuple(f"{kind}{order}" for order in self.orders for kind in ("s", "c"))
-        return local + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
+        return (
+            local
+            + self.servo_columns
+            + tuple(name if run is None else f"{name}[{run}]" for name, run in self.keys)
+        )
 
 
 @dataclass(frozen=True)
@@ -187,7 +263,14 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
     Linear, and exact, for one group or without local columns; otherwise separable least squares on the triangular
     factors, from the linear solution.
     """
-    if len(parts) > 1 and layout.local:
+    if layout.given and not layout.coupled:  # there is no phase: the mean of a given servo remains
+        plain, fixed = replace(layout, given=()), layout.turned(np.zeros(0), np.zeros(1))[0]
+        for name, size in zip(layout.columns, fixed, strict=False):
+            parts = [part.less(name, float(size)) for part in parts]
+        rest = [part.select(tuple(n for n in part.names if n not in PHASELESS)) for part in parts]
+        estimate = solve_parts(plain, rest)
+        return replace(estimate, jacobians=layout.jacobians(estimate.amplitudes, estimate.phases))
+    if layout.local and (len(parts) > 1 or layout.servo_columns):
         return _solve_groups(layout, parts)
     total = parts[0]
     if len(parts) > 1:
@@ -235,7 +318,11 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
 
     amplitudes, best, cost = _start(layout, stack), np.zeros(0), math.inf
     for _ in range(_STARTS):
-        first = from_phases(_best_phases(layout, amplitudes, stack))
+        if len(parts) > 1:
+            first = from_phases(_best_phases(layout, amplitudes, stack))
+        else:
+            trials = [from_phases(np.array([phase])) for phase in np.linspace(-np.pi, np.pi, _TRIALS)]
+            first = min(trials, key=lambda x: (x[0] < 0.0, float(np.sum(missed(x) ** 2))))
         if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _DEEPER):
             break
         best = least_squares_from(
@@ -247,7 +334,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
     jacobians = layout.jacobians(amplitudes, phases)
     cost += sum(float(part.factor[-1, -1] ** 2) for part in parts)
     variance, shift = cost / max(sum(part.count for part in parts) - len(covariance), 1), np.zeros(best.size)
-    if variance > 0.0:
+    if variance > 0.0 and len(parts) > 1:
         left, bends = missed(best).reshape(observed.shape), layout.turned(amplitudes, phases, 2)
         bent = np.einsum("gm,gml,gl->g", left, turning, bends)
         moved = _fitted_noise(
@@ -255,7 +342,7 @@ def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
         )
         amplitudes, phases, shift = amplitudes - moved[:size], phases - moved[size:], moved / np.sqrt(variance)
     covariance = covariance + np.outer(shift, shift)
-    return Estimate(amplitudes, phases, covariance, cost, jacobians, shift=shift)
+    return Estimate(amplitudes, phases, covariance, cost, jacobians, shift=shift if len(parts) > 1 else None)
 
 
 def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance: float) -> Array:
@@ -293,7 +380,7 @@ def _start(layout: Layout, stack: Array) -> Array:
     if shown.any():
         coupling = np.linalg.solve(stack[shown, :2, :2], right[shown, :, None])[..., 0]
         amplitude = float(np.average(np.hypot(*coupling.T), weights=weights[shown]))
-    return np.concatenate([[amplitude], np.zeros(2 * len(layout.orders)), shared])
+    return np.concatenate([[amplitude], np.zeros(layout.head - 1), shared])
 
 
 def least_squares(rows: Array, right: Array, rcond: float) -> Array:
@@ -321,7 +408,9 @@ def _best_phases(layout: Layout, amplitudes: Array, stack: Array) -> Array:
     trial = np.tile(spacing * np.arange(_SCAN) - np.pi, (groups, 1))
     cost = np.sum((right[:, None] - modelled(trial)) ** 2, axis=2)
     lowest = (cost <= np.roll(cost, 1, axis=1)) & (cost <= np.roll(cost, -1, axis=1))
-    order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[:, : 2 * max((1, *layout.orders))]
+    order = np.argsort(np.where(lowest, cost, np.inf), axis=1)[
+        :, : 2 * max((1 + bool(layout.servo_columns), *layout.orders))
+    ]
     first = phases = np.take_along_axis(trial, order, axis=1)
     for _ in range(_REFINEMENTS):
         slope, missed = modelled(phases, 1), right[:, None] - modelled(phases)
@@ -423,7 +512,7 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
             if order % 2:
                 values[at : at + 2], jacobian[at : at + 2] = -values[at : at + 2], -jacobian[at : at + 2]
             at += 2
-        for index, (name, _) in enumerate(layout.keys, start=layout.head):
+        for index, (name, _) in enumerate(layout.amplitude_keys):
             if name == "servo_damping":
                 values[index], jacobian[index] = -values[index], -jacobian[index]
     values[layout.size :] = _principal(values[layout.size :])
