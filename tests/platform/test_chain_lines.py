@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piga.platform import compare, theory_lines, true_knowledge
-from piga.platform.chain import CHANNELS, daily_lines, fitted_lines, has_theory, line_budget, theory_note
+from piga.platform import compare, true_knowledge
+from piga.platform.chain import CHANNELS, daily_lines, fitted_lines, has_theory, theory_lines, theory_note
 from piga.platform.navigator import Errors
 from piga.platform.scenario import (
     Compensation,
@@ -269,19 +269,6 @@ def test_lines_are_found_beside_all_that_is_known_to_be_there(ratio):
     wave += 0.4 * np.cos((W1 + OMEGA) * t) + 0.8 * np.sin(1.2394e-3 * t) + 1e-5 * t
     seen = fitted_lines(t, wave[:, None], (W1, w2), 0.7)[:, 0]
     np.testing.assert_allclose(seen, [0.02, 0.5 + 1e-7 * t.mean()], rtol=2e-3)
-
-
-def test_the_budget_shows_the_lines_of_each_misalignment():
-    """By the published relations without the Schuler factor, which is below 2 % here."""
-    s = unequal(redundancy=0.05, equatorial=Gyro(1e-3, 0.7), polar=Gyro(1e-3, 0.2))
-    polar, equatorial, *together = line_budget(s)
-    assert polar.source == "polar misalignment, 1 arcsec"
-    assert [row.period for row in (polar, equatorial, *together)] == pytest.approx([480.0, 560.0] * 2)
-    for row, turned in zip((polar, equatorial, *together), (np.tan(0.05), 1.0 / np.cos(0.05)) * 2, strict=True):
-        angle = ARCMIN / 60.0 * turned
-        east = 9.8 * angle * np.cos(40.0 * DEG) * row.period / (2.0 * np.pi)
-        assert row.lines["east_velocity"] == pytest.approx(east, rel=0.02)
-        assert row.lines["heading"] == pytest.approx(angle * np.sin(40.0 * DEG), rel=0.02)
 
 
 @long

@@ -10,7 +10,7 @@ import pytest
 from piga import earth
 from piga._kernels.platform import height_and_normal
 from piga.errors import ArgumentError
-from piga.frames import axis_turn
+from piga.frames import axis_turn, skew
 from piga.platform import Navigator, Start, compensator, errors, navigate, simulate, true_knowledge
 from piga.platform.geometry import (
     KERNEL_EARTH,
@@ -18,7 +18,6 @@ from piga.platform.geometry import (
     geodetic_to_earth,
     gimbal_attitude,
     local_axes,
-    small_angle_attitude,
 )
 from piga.platform.navigator import true_start
 from piga.platform.scenario import Gyro, MotionPlan
@@ -122,9 +121,7 @@ def test_what_is_shown_follows_from_the_matrices():
     np.testing.assert_allclose(shown.table[k, 3:6], axes.T @ v, atol=1e-11)
     e = made.nodes[k + 1]
     triad = run.truth.triad_start
-    base = (
-        axes.T @ to_earth @ triad.T @ small_angle_attitude(e).T @ gimbal_attitude(run.readouts.gimbals[k + 1])
-    )
+    base = axes.T @ to_earth @ triad.T @ (np.eye(3) - skew(e)).T @ gimbal_attitude(run.readouts.gimbals[k + 1])
     roll, pitch, heading = shown.table[k, 6:]
     level = axis_turn(0, roll) @ axis_turn(1, pitch) @ axis_turn(2, heading)
     np.testing.assert_allclose(level.T, base, atol=3e-6)

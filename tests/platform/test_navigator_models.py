@@ -8,14 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from piga.platform import (
-    compare,
-    compensator,
-    errors,
-    line_amplitudes,
-    simulate,
-    true_knowledge,
-)
+from piga.platform import compare, compensator, errors, simulate, true_knowledge
+from piga.platform.chain import fitted_lines
 from piga.platform.scenario import Compensation, MotionPlan, Rotation, Sensors
 from tests.platform.conftest import ARCMIN, ARCSEC, DEG, long, navigated, published, wobbling
 
@@ -84,7 +78,9 @@ def test_the_second_order_remainder_is_a_step_and_lines_at_twice_the_rate():
         run, shown = navigated(scaled, "B")
         e = errors(shown, run.truth, run.readouts)
         rate = s.polar_rotation.rate
-        at = [line_amplitudes(e.times, e.velocity[:, 1:2], k * rate, s.place.latitude)[0] for k in (1.0, 2.0)]
+        at = [
+            fitted_lines(e.times, e.velocity[:, 1:2], (k * rate,), s.place.latitude)[0, 0] for k in (1.0, 2.0)
+        ]
         return np.abs(e.velocity[:, :2]).max(), *at
 
     whole, half = left(1.0), left(0.5)

@@ -181,7 +181,7 @@ def test_track_is_read_and_felt(tmp_path):
         ("x\n", "a header but no data(?s:.*)time_s, latitude_deg"),
         (HEAD + "0,1,1,1,1,1,1\n" * 3, "3 rows(?s:.*)4 rows or more"),
         (HEAD + "0,1,1,1,1,1,1\n" * 4 + "0,1,x,1,1,1,1\n", "row 6, column 'longitude_deg'(?s:.*)'x'"),
-        (HEAD + "0,1,1,1,1,1,1\n" * 4 + "0,1,,1,1,1,1\n", "row 6, column 'longitude_deg': no number"),
+        (HEAD + "0,1,1,1,1,1,1\n" * 4 + "0,1,,1,1,1,1\n", "row 6, column 'longitude_deg' is empty"),
         (HEAD + "0,1,1,1,1,1,1\n" * 5, "row 3: the time does not increase"),
         (HEAD + "".join(f"{t},1,1,1,1,1,1\n" for t in range(5)), "covers 0 s to 4 s(?s:.*)needs 0 to 600 s"),
     ],

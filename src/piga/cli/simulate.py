@@ -249,7 +249,7 @@ def compare(
     """
     import msgspec
 
-    from piga.platform.chain import error_budget, line_budget, line_budget_document, standard_sources
+    from piga.platform.chain import error_budget, standard_sources
     from piga.reports.platform import comparison_page
     from piga.reports.render.page import write_page
 
@@ -258,18 +258,15 @@ def compare(
         s = comparison.run.scenario
         sources = standard_sources(comparison.preparation.alignment)
         rows = error_budget(s, sources) if budget else ()
-        lines = line_budget(s, comparison.preparation.identification) if budget else ()
         document = comparison.document()
         if rows:
             document["budget"] = msgspec.to_builtins(rows)
-        if lines:
-            document["line_budget"] = line_budget_document(lines)
         if out is not None and s.sensors.pigas is not None:
             from piga.studies.platform import capstone, capstone_page
 
             with progress("capstone") as show:
                 write_page(capstone_page(capstone(s, progress=show)), to / "capstone.html")
-        whole = comparison_page(comparison, rows, lines)
+        whole = comparison_page(comparison, rows)
         to.show(
             document, whole, whole.only("lines", "equatorial-lines", "notes"), "comparison.json", "report.html"
         )

@@ -5,7 +5,7 @@ And the error budget by source: that of the linear model, which tests hold again
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -32,7 +32,7 @@ from piga.platform.navigator import (
     true_start,
 )
 from piga.platform.observation import MOVING_SOURCES, STATIC_SOURCES
-from piga.platform.scenario import Gyro, Model, MotionPlan, PlatformScenario
+from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.platform.simulate import PlatformRun, number_table, simulate
 from piga.progress import Progress, Steps
 from piga.results import Array, Plotted, Result, finite
@@ -58,14 +58,6 @@ def channels(errors: Errors) -> dict[str, Array]:
     """The error channels whose lines are followed: velocities [m/s], attitude [rad]."""
     table = np.concatenate([errors.velocity, errors.attitude], axis=1)
     return {name: table[:, column] for name, column in _COLUMNS.items()}
-
-
-def line_amplitudes(times: Array, values: Array, rate: float, latitude: float) -> Array:
-    """Amplitude at angular rate ``rate`` [rad/s] in each column of ``values`` (n, k) over ``times`` (n,) [s].
-
-    As :func:`fitted_lines` of one rate.
-    """
-    return fitted_lines(times, values, (rate,), latitude)[0]
 
 
 def fitted_lines(times: Array, values: Array, rates: tuple[float, ...], latitude: float) -> Array:
@@ -177,8 +169,7 @@ def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
 def has_theory(scenario: PlatformScenario) -> bool:
     """True if :func:`theory_lines` holds: four hours on a base that stays at its place; a case turns without reversals."""
     turning = max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate) > 0.0
-    stays = scenario.motion.kind != "track" and scenario.duration >= _NEIGHBOURS
-    return stays and turning and scenario.polar_rotation.turns == 0
+    return turning and not theory_note(scenario).endswith("no theory is shown")
 
 
 def theory_note(scenario: PlatformScenario) -> str:
@@ -431,22 +422,13 @@ def last_east_lines(lines: Lines) -> list[float]:
     return [float(amplitude["east_velocity"][-1]) for amplitude in lines.by_case.values()]
 
 
-def _shown(label: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Amplitudes by channel as numbers of a document, in m/s or arcmin; a missing line is null."""
-    document = {}
-    for name, value in values.items():
-        size, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
-        numbers = np.asarray(value / size).tolist()
-        document[f"{name}_{label}_{unit}"] = (
-            [finite(number) for number in numbers] if isinstance(numbers, list) else finite(numbers)
-        )
-    return document
-
-
 def _lines_document(lines: Lines) -> dict[str, Any]:
+    """Amplitudes by channel and day, in m/s or arcmin; a missing line is null."""
     document: dict[str, Any] = {"day": lines.day.tolist()}
     for label, amplitude in lines.by_case.items():
-        document |= _shown(label, amplitude)
+        for name, values in amplitude.items():
+            size, unit = (1.0, "m_s") if name.endswith("velocity") else (ARCMIN, "arcmin")
+            document[f"{name}_{label}_{unit}"] = [finite(value) for value in (values / size).tolist()]
     return document | {"position_error_m": [finite(value) for value in lines.position.tolist()]}
 
 
@@ -470,12 +452,12 @@ def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbati
         ("drift {}, 1e-5 deg/h", "drift", [np.radians(1e-5) / 3600.0] * 3),
         ("accelerometer bias {}, 1 ug", "bias", [1e-6 * G0] * 3),
     )
-    axes: dict[str, Perturbation] = {}
-    for label, kind, sizes in errors_of:
-        for k, size in enumerate(sizes):
-            along: dict[str, Any] = {kind: tuple(size if i == k else 0.0 for i in range(3))}
-            axes[label.format("xyz"[k])] = Perturbation(**along)
-    return axes | {
+    along: dict[str, Any] = {
+        label.format("xyz"[k]): {kind: tuple(size if i == k else 0.0 for i in range(3))}
+        for label, kind, sizes in errors_of
+        for k, size in enumerate(sizes)
+    }
+    return {label: Perturbation(**error) for label, error in along.items()} | {
         "reference height, 10 m": Perturbation(height=10.0),
         "start position north, 10 m": Perturbation(position=(10.0, 0.0, 0.0)),
         "start velocity east, 1 mm/s": Perturbation(velocity=(0.0, 1e-3, 0.0)),
@@ -484,65 +466,13 @@ def standard_sources(alignment: Alignment | None = None) -> dict[str, Perturbati
 
 def error_budget(scenario: PlatformScenario, sources: Mapping[str, Perturbation]) -> tuple[BudgetRow, ...]:
     """Each source alone, then all together, over the length of the scenario, on a base at rest (:func:`linear_errors`)."""
-    step, total, rows = max(1, round(10.0 / scenario.step)) * scenario.step, Perturbation(), []
-    for perturbation in sources.values():
-        total = total.plus(perturbation)
-    for name, moved in {**sources, "all together": total}.items():
-        at = linear_errors(
-            scenario.place, moved, scenario.duration, step=step, damping_time=scenario.damping_time
-        )
-        rows.append(BudgetRow(name, *(float(np.hypot(at[:, k], at[:, k + 1]).max()) for k in (1, 4))))
-    return tuple(rows)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LineRow(Result):
-    """Lines of the last day that misalignments of known size leave, by channel in SI, in closed form.
-
-    ``period`` [s] of the case at whose rate the lines stand.
-    """
-
-    source: str
-    period: float
-    lines: Mapping[str, float]
-
-
-def line_budget(
-    scenario: PlatformScenario, identification: Identification | None = None
-) -> tuple[LineRow, ...]:
-    """Lines that an error of each misalignment alone, then of both, leaves on a base at rest.
-
-    The errors are the standard uncertainties of the identification, or one arc-second. The redundancy angle grows as
-    the scenario says. None where a case rests or turns back and forth.
-    """
-    rotations = (scenario.polar_rotation, scenario.equatorial_rotation)
-    if any(r.rate == 0.0 or r.turns > 0 for r in rotations):
-        return ()
-    sizes = [ARCSEC] * 2
-    if identification is not None:
-        sizes = [identification[f"{gyro}.misalignment"].std for gyro in ("polar", "equatorial")]
-    growth, rates = true_knowledge(scenario).eta_rate, case_rates(scenario)
-    end = scenario.duration
-    day = np.array([(np.ceil(end / DAY) - 1.0) * DAY, end])
-    rows: list[LineRow] = []
-    labels = ("polar misalignment", "equatorial misalignment", "both misalignments")
-    for label, used in zip(labels, ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)), strict=True):
-        polar, equatorial = used[0] * sizes[0], used[1] * sizes[1]
-        alone = replace(
-            scenario,
-            motion=MotionPlan(heading=scenario.motion.heading),
-            polar=Gyro(polar, scenario.polar.phase),
-            equatorial=Gyro(equatorial, scenario.equatorial.phase, drift=(growth, 0.0)),
-        )
-        theory = theory_lines(alone, "none", true_knowledge(alone), [slice(0, 2)], day)
-        size = " and ".join(f"{value / ARCSEC:.2g}" for value in (polar, equatorial) if value > 0.0)
-        for rate, amplitude in zip(rates, theory.by_case.values(), strict=True):
-            lines = {name: float(value[0]) for name, value in amplitude.items()}
-            if lines["heading"] > 0.0:
-                rows.append(LineRow(f"{label}, {size} arcsec", 2.0 * np.pi / rate, lines))
-    return tuple(rows)
-
-
-def line_budget_document(rows: Sequence[LineRow]) -> list[dict[str, Any]]:
-    """Lines of each misalignment alone and of both as JSON rows. A missing line is null."""
-    return [{"source": row.source, "period_s": row.period} | _shown("line_linear", row.lines) for row in rows]
+    step, known = max(1, round(10.0 / scenario.step)) * scenario.step, scenario.damping_time
+    tables = {
+        name: linear_errors(scenario.place, moved, scenario.duration, step=step, damping_time=known)
+        for name, moved in sources.items()
+    }
+    tables["all together"] = np.sum(list(tables.values()), axis=0)
+    return tuple(
+        BudgetRow(name, *(float(np.hypot(at[:, k], at[:, k + 1]).max()) for k in (1, 4)))
+        for name, at in tables.items()
+    )

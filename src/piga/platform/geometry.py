@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga import earth
-from piga.frames import axis_turn, skew
+from piga.frames import axis_turn
 from piga.platform.scenario import Gyro, Rotation
 from piga.results import Array
 
@@ -133,11 +133,6 @@ def small_angles(
     ex, ey = m1 * np.cos(a), m1 * np.sin(a)
     ez = m2 * np.sin(b) / np.cos(angle) - ex * np.tan(angle)
     return np.stack([ex, ey, ez], axis=-1), angle + m2 * np.cos(b) - ey
-
-
-def small_angle_attitude(e: ArrayLike) -> Array:
-    """``C_G^P = I - [e x]`` for small angles ``e`` (..., 3) [rad]."""
-    return np.eye(3) - skew(e)
 
 
 def gimbal_attitude(gimbals: ArrayLike) -> Array:

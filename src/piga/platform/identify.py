@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from piga.errors import IdentifiabilityError, PigaError
-from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
+from piga.frames import matrix_to_rotation_vector
 from piga.platform.geometry import local_axes, wrapped
 from piga.platform.navigator import Knowledge, Start, site_start
 from piga.platform.observation import SOURCES, STATIC_SOURCES, ObservedRecord, Reduced, Tip, Unknowns, names
@@ -46,16 +46,13 @@ UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LeastSquares(Result):
-    """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise levels."""
+    """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise level of each group."""
 
     step: Array
     covariance: Array
     condition: float
-    levels: tuple[float, ...]
-
-    def by_source(self, parts: Sequence[Reduced]) -> dict[str, float]:
-        """Noise level of each group."""
-        return {part.name: level for part, level in zip(parts, self.levels, strict=True)}
+    noise: dict[str, float]
+    degrees_of_freedom: float
 
 
 def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
@@ -79,8 +76,10 @@ def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
         norms[norms == 0.0] = 1.0
         left, values, right = np.linalg.svd(factor[:p, :p] / norms)
         if values[-1] < 1e-11 * values[0]:
+            share = np.abs(right[-1])
+            alike = ", ".join(names[k] for k in sorted(np.argsort(-share)[:4]) if share[k] > 0.25 * share.max())
             raise IdentifiabilityError(
-                f"the record cannot tell apart: {in_words(right[-1], names)}",
+                f"the record cannot tell apart: {alike}",
                 remedy="use another source of observation, a longer record or unequal case speeds",
             )
         inverse = (right.T / values) @ left.T / norms[:, None]
@@ -91,28 +90,23 @@ def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
             levels.append(float(np.sqrt(part.squares(step) / freedom)))
         if np.allclose(levels, used, rtol=1e-4, atol=_SMALLEST_SIGMA):
             break
-    return LeastSquares(step, covariance, float(values[0] / values[-1]), used)
-
-
-def in_words(direction: Array, names: Sequence[str]) -> str:
-    """The unknowns with the largest share in a singular direction, e.g. ``polar.u + equatorial.v``."""
-    order = np.argsort(-np.abs(direction))
-    chosen = [k for k in order if abs(direction[k]) > 0.25 * abs(direction[order[0]])][:4]
-    return ", ".join(names[k] for k in sorted(chosen))
+    noise = {part.name: level for part, level in zip(parts, used, strict=True)}
+    return LeastSquares(
+        step, covariance, float(values[0] / values[-1]), noise, sum(part.rows for part in parts) - p
+    )
 
 
 def gauss_newton(
     record: ObservedRecord, x: Unknowns, steps: int, progress: Progress | None, settled: float = _SETTLED
-) -> tuple[Unknowns, list[Reduced], LeastSquares]:
-    """Converged unknowns, the rows about the last ones but one, and the last step with its covariance."""
+) -> tuple[Unknowns, LeastSquares]:
+    """Converged unknowns, and the last step with its covariance."""
     for k in range(steps):
         report(progress, k, steps, f"step {k + 1} of at most {steps}")
-        parts = record.groups(x)
-        solution = solve(parts, record.names)
+        solution = solve(record.groups(x), record.names)
         x = record.moved(x, solution.step)
         if np.all(np.abs(solution.step) < settled * np.sqrt(np.diag(solution.covariance))):
             break
-    return x, parts, solution
+    return x, solution
 
 
 @dataclass(frozen=True)
@@ -183,7 +177,7 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         20 samples a turn.
     """
     record = ObservedRecord.checked(readouts, place, sources, orders)
-    x, parts, solution = gauss_newton(record, record.coarse(), _STEPS, progress)
+    x, solution = gauss_newton(record, record.coarse(), _STEPS, progress)
     count = 4 + 4 * orders + (2 if "pick-off" in sources else 0)
     values = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
     covariance = solution.covariance[:count, :count]
@@ -196,8 +190,8 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
         names=record.names[:count],
         values=values,
         covariance=covariance,
-        noise=solution.by_source(parts),
-        degrees_of_freedom=sum(part.rows for part in parts) - len(solution.covariance),
+        noise=solution.noise,
+        degrees_of_freedom=solution.degrees_of_freedom,
         condition=solution.condition,
         parameters=_parameters(values, covariance, orders),
         notes=_notes(values, covariance),
@@ -327,14 +321,14 @@ def observability(
     If both cases turn at one speed, the pick-off alone contains ``m2 cos(c2) - m1 sin(c1)`` as one line. It leaves two of the
     four unknowns undetermined.
     """
-    verdicts, pick = [], "pick-off"
-    for chosen in ((pick,), *((s,) for s in sources if s != pick), *((s, pick) for s in sources if s != pick)):
+    verdicts, pick, others = [], "pick-off", [source for source in sources if source != "pick-off"]
+    for chosen in ((pick,), *((source,) for source in others), *((source, pick) for source in others)):
         try:
             found = identify(readouts, place, sources=chosen, orders=orders)
         except PigaError as error:
             verdict = np.inf, np.full(4, np.inf), False, f"{error.message}; {error.remedy}"
         else:
-            std = np.sqrt([found.covariance[k, k] for k in (found.names.index(name) for name in UNKNOWNS)])
+            std = np.sqrt(np.diag(found.covariance))[[found.names.index(name) for name in UNKNOWNS]]
             verdict = found.condition, std, True, "tells both misalignments and both phases"
         verdicts.append(Observability(" with ".join(chosen), *verdict))
     return tuple(verdicts)
@@ -397,17 +391,17 @@ class Alignment(Result):
     @property
     def base_angles(self) -> Array:
         """Roll, pitch, heading (3,) [rad] of the base."""
-        return _angles(self.base)
+        c = self.base
+        pitch = np.arcsin(np.clip(-c[2, 0], -1.0, 1.0))
+        return np.array([np.arctan2(c[2, 1], c[2, 2]), pitch, np.arctan2(c[1, 0], c[0, 0])])
 
     @property
     def base_stds(self) -> Array:
         """Standard uncertainties of roll, pitch, heading (3,) [rad]."""
-        to_level = local_axes(self.place.latitude, self.place.longitude).T
-        jacobian = np.empty((3, 3))
-        for k, turn in enumerate(1e-6 * to_level.T):
-            ahead, behind = (rotation_vector_to_matrix(sign * turn) @ self.base for sign in (1.0, -1.0))
-            difference = _angles(ahead) - _angles(behind)
-            jacobian[:, k] = wrapped(difference) / 2e-6
+        _, pitch, heading = self.base_angles
+        c, s, flat, steep = np.cos(heading), np.sin(heading), np.cos(pitch), np.tan(pitch)
+        by_level = np.array([[c / flat, s / flat, 0.0], [-s, c, 0.0], [c * steep, s * steep, 1.0]])
+        jacobian = by_level @ local_axes(self.place.latitude, self.place.longitude).T
         return np.sqrt(np.diag(jacobian @ self.covariance[6:9, 6:9] @ jacobian.T))
 
     def start(self, *, with_drift: bool) -> Start:
@@ -425,12 +419,6 @@ class Alignment(Result):
             "noise": self.noise,
             "condition": self.condition,
         }
-
-
-def _angles(base: Array) -> Array:
-    """Roll, pitch, heading (3,) [rad] of ``C_b^n``."""
-    pitch = np.arcsin(np.clip(-base[2, 0], -1.0, 1.0))
-    return np.array([np.arctan2(base[2, 1], base[2, 2]), pitch, np.arctan2(base[1, 0], base[0, 0])])
 
 
 def align(
@@ -455,6 +443,6 @@ def align(
         eta0=knowledge.eta0,
         eta_rate=knowledge.eta_rate,
     )
-    x, parts, solution = gauss_newton(record, known, _ALIGNING_STEPS, progress, settled=0.0)
-    base, noise = local_axes(place.latitude, place.longitude).T @ x.base, solution.by_source(parts)
-    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, noise, solution.condition)
+    x, solution = gauss_newton(record, known, _ALIGNING_STEPS, progress, settled=0.0)
+    base, told = local_axes(place.latitude, place.longitude).T @ x.base, (solution.noise, solution.condition)
+    return Alignment(place, x.triad.T.copy(), x.drift, base, solution.covariance, *told)

@@ -6,8 +6,7 @@ docs/theory/platform.md sections 7 and 9.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm, matrix_balance
@@ -125,10 +124,6 @@ class Navigator:
     """
 
     def __init__(self, start: Start, step: float, damping_time: float = 100.0) -> None:
-        if step <= 0.0:
-            raise ArgumentError(
-                f"step = {step!r} s must be positive", remedy="give the step of the increments, e.g. 1.0"
-            )
         self.step, self.drift, self.triad = step, np.array(start.drift), np.array(start.triad)
         self.damping = damping_gains(damping_time)
         self.state, self.steps = np.zeros((9, 3)), 0
@@ -171,11 +166,7 @@ class Navigator:
         acceleration = first / h + geometry.gravitation(r)
         for back, row in ((1.0, 3), (2.0, 4)):
             self.state[row] = geometry.gravitation(r - back * h * v + 0.5 * (back * h) ** 2 * acceleration)
-        self.state[2], self.state[5], self.state[6] = (
-            geometry.gravitation(r),
-            first - slope,
-            first - 2.0 * slope,
-        )
+        self.state[2], self.state[5:7] = geometry.gravitation(r), (first - slope, first - 2.0 * slope)
         self.state[8] = r / np.linalg.norm(r)
 
 
@@ -338,12 +329,6 @@ class Perturbation:
     height: float = 0.0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def plus(self, other: Perturbation) -> Perturbation:
-        """The sum of two perturbations."""
-        pairs = zip(astuple(self), astuple(other), strict=True)
-        sums: list[Any] = [tuple(np.add(a, b)) if isinstance(a, tuple) else a + b for a, b in pairs]
-        return Perturbation(*sums)
 
 
 def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, step: float = 10.0,

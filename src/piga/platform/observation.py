@@ -156,18 +156,9 @@ def _triad_of(first: Array, second: Array) -> Array:
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
-@dataclass(frozen=True)
-class ForceFilter:
-    """Filtering and thinning of the specific force of a moving base, in turns of the case. The values are own choices."""
-
-    window: int = 10  # length of a Hann window, as a part of a turn; two are applied in sequence
-    rows: int = 20  # kept per turn; lines up to order ten of the case rate stay below the folding frequency
-    samples: int = 160  # most per turn; the increments of finer records are added up
-    turns: int = 16  # in a stretch; stretches are independent, so the cost is proportional to the record
-    fewest: int = 20  # samples per turn of the faster case
-
-
-FORCE_FILTER = ForceFilter()
+_WINDOW, _ROWS, _SAMPLES, _TURNS, _FEWEST = 10, 20, 160, 16, 20
+"""Specific force of a moving base, in turns of the case (own choices): a Hann window, applied twice, is this part of a turn;
+rows kept and most samples per turn (finer increments are added up); turns in a stretch; fewest samples per turn."""
 
 
 @dataclass(frozen=True)
@@ -293,11 +284,11 @@ class ObservedRecord:
                 f"identification needs two turns of the cases ({2.0 * slow:g} s), the record has {span:g} s",
                 remedy="lengthen [identification] duration, or [compensation] misalignment = 'true'",
             )
-        if "force" in sources and fast < FORCE_FILTER.fewest * readouts.step:
+        if "force" in sources and fast < _FEWEST * readouts.step:
             raise ArgumentError(
-                f"identification from the specific force needs {FORCE_FILTER.fewest} samples a case turn, the record has "
+                f"identification from the specific force needs {_FEWEST} samples a case turn, the record has "
                 f"{fast / readouts.step:.1f}",
-                remedy=f"shorten [run] step to {fast / FORCE_FILTER.fewest:g} s",
+                remedy=f"shorten [run] step to {fast / _FEWEST:g} s",
             )
         return record
 
@@ -337,13 +328,13 @@ class ObservedRecord:
     def stretches(self) -> tuple[_Stretch, ...]:
         """Parts of the record for the specific force of any base."""
         (fast, slow), r = self.periods, self.readouts
-        every = max(1, int(fast / r.step / FORCE_FILTER.samples))
+        every = max(1, int(fast / r.step / _SAMPLES))
         r = r.between(0, len(r.increments) // every * every, every)
         samples, n = fast / r.step, len(r.increments)
-        stride = max(1, round(samples / FORCE_FILTER.rows))
-        hann = np.hanning(max(round(samples / FORCE_FILTER.window), 3) + 2)[1:-1]
+        stride = max(1, round(samples / _ROWS))
+        hann = np.hanning(max(round(samples / _WINDOW), 3) + 2)[1:-1]
         window = np.convolve(hann, hann) / hann.sum() ** 2
-        count = max(1, round(n * r.step / slow / FORCE_FILTER.turns))
+        count = max(1, round(n * r.step / slow / _TURNS))
         edges = np.linspace(0, n, count + 1).astype(np.int64).tolist()
         return tuple(_Stretch(r.between(a, b), every, window, stride, slow) for a, b in pairwise(edges))
 

@@ -6,6 +6,7 @@ The quantities of a document are brought to SI (:func:`in_si`) before it is conv
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -205,16 +206,13 @@ class CaseRotationFile(TomlTable, frozen=True):
 
     def rotation(self, period: float | str) -> Rotation:
         """Rotation of a case with this period [s]."""
-        words, turns = self.reversal.split(), 0
-        if self.reversal == "each-turn":
-            turns = 1
-        elif len(words) == 2 and words[1] in {"turn", "turns"} and words[0].isdigit() and int(words[0]) > 0:
-            turns = int(words[0])
-        elif self.reversal != "none":
+        reverses = re.fullmatch(r"none|each-turn|([1-9]\d*) turns?", self.reversal)
+        if reverses is None:
             raise ArgumentError(
                 f"[case_rotation] reversal = '{self.reversal}' is not known",
                 remedy="write 'none', 'each-turn' or e.g. '3 turns'",
             )
+        turns = int(reverses[1] or self.reversal == "each-turn")
         return Rotation(0.0 if isinstance(period, str) else 2.0 * math.pi / period, turns)
 
 
@@ -261,14 +259,13 @@ class ScenarioFile(TomlTable, frozen=True):
     def build(self, path: Path) -> PlatformScenario:
         """The scenario of this file, which lies at ``path``. Refuses what cannot be simulated by its key."""
         motion, cases, c, step = self.motion, self.case_rotation, self.compensation, self.run.step
+        file = None if motion.file is None else str(path.parent / motion.file)
         scenario = PlatformScenario(
             place=self.site,
             duration=self.run.duration,
             step=step,
             seed=self.run.seed,
-            motion=msgspec.structs.replace(motion, file=str(path.parent / motion.file))
-            if motion.file
-            else motion,
+            motion=msgspec.structs.replace(motion, file=file),
             polar_rotation=cases.rotation(cases.period),
             equatorial_rotation=cases.rotation(cases.equatorial_period or cases.period),
             polar=self.polar,
@@ -338,13 +335,7 @@ def load_scenario(path: str | Path, *, content: str | None = None) -> PlatformSc
 
 
 def scenario_of_document(path: Path, document: dict[str, Any]) -> PlatformScenario:
-    """The scenario of a document that was read from ``path``, and perhaps changed since.
-
-    Raises
-    ------
-    RunFileError
-        As :func:`load_scenario`.
-    """
+    """The scenario of a document that was read from ``path``, and perhaps changed since."""
     try:
         return convert_toml(path, in_si(document, ScenarioFile), ScenarioFile).build(path)
     except (ArgumentError, UnitError) as error:

@@ -20,6 +20,7 @@ from piga.instrument import Instrument, propagate
 from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
 from piga.results import Array, Column, Plotted, Result, arrow_table
+from piga.stand.profile import read_columns
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -89,15 +90,10 @@ def base_motion(scenario: PlatformScenario) -> BaseMotion:
         attitude = attitude + np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0])
         attitude[:, 2] = np.arctan2(np.sin(attitude[:, 2]), np.cos(attitude[:, 2]))
     if plan.kind == "sway":
-        tilts = (plan.roll_sway, plan.pitch_sway, plan.heading_sway)
-        waves = [o.amplitude * np.sin(2.0 * np.pi / o.period * times) for o in tilts]
-        attitude = attitude + np.stack(waves, axis=1)
-        sway, axes = (
-            (plan.north_sway, plan.east_sway, plan.down_sway),
-            geometry.local_axes(at.latitude, at.longitude),
-        )
-        rate = np.array([2.0 * np.pi / o.period for o in sway])
-        amplitude = np.array([o.amplitude for o in sway])
+        tilt, period = np.array([plan.roll_sway, plan.pitch_sway, plan.heading_sway]).T
+        attitude = attitude + tilt * np.sin(2.0 * np.pi / period * times[:, None])
+        amplitude, period = np.array([plan.north_sway, plan.east_sway, plan.down_sway]).T
+        rate, axes = 2.0 * np.pi / period, geometry.local_axes(at.latitude, at.longitude)
         sine = amplitude * np.sin(rate * half[:, None])
         moving = (amplitude * rate * np.cos(rate * half[:, None])) @ axes.T
         place, force, velocity = _felt(position + sine @ axes.T, moving, (-(rate**2) * sine) @ axes.T)
@@ -122,7 +118,7 @@ def _track(plan: MotionPlan, half: Array) -> BaseMotion:
     if time[0] > 0.0 or time[-1] < half[-1]:
         raise DataError(
             f"{plan.file}: the track covers {time[0]:g} s to {time[-1]:g} s, the run needs 0 to {half[-1]:g} s",
-            remedy="shorten [run] duration or lengthen the track; its last row needs a line end",
+            remedy="shorten [run] duration or lengthen the track",
         )
     path = CubicSpline(time, geometry.geodetic_to_earth(*place.T))
     place, force, velocity = _felt(path(half), path(half, 1), path(half, 2))
@@ -131,30 +127,21 @@ def _track(plan: MotionPlan, half: Array) -> BaseMotion:
 
 def _read_track(path: Path) -> tuple[Array, Array, Array]:
     """Time (n,) [s], latitude, longitude [rad] and height [m] (n, 3), roll, pitch and heading (n, 3) [rad]."""
-    from piga.formats.text.reader import TextStream
-
     try:
-        chunks = list(TextStream(path, _TRACK_COLUMNS, None).chunks())
+        rows, columns = read_columns(path, _TRACK_COLUMNS)
     except DataError as error:
-        columns = ", ".join(_TRACK_COLUMNS)
+        remedy = f"give these columns, a number in each row: {', '.join(_TRACK_COLUMNS)}"
+        raise DataError(f"[motion] file {error.message}", remedy=remedy, where=error.where) from None
+    time, *place, roll, pitch, heading = columns.values()
+    if time.size < 4:
+        raise DataError(f"[motion] file {path}: {time.size} rows", remedy="give a header and 4 rows or more")
+    for row in rows[1:][np.diff(time) <= 0.0]:
         raise DataError(
-            f"[motion] file {error.message}", remedy=f"give these columns, a number in each row: {columns}"
-        ) from None
-    rows = np.concatenate([chunk.rows for chunk in chunks])
-    table = np.stack([np.concatenate([c.numbers[name] for c in chunks]) for name in _TRACK_COLUMNS], axis=1)
-    if len(table) < 4:
-        raise DataError(f"[motion] file {path}: {len(table)} rows", remedy="give a header and 4 rows or more")
-    for row, column in np.argwhere(~np.isfinite(table)):
-        words = f"row {rows[row]}, column '{_TRACK_COLUMNS[column]}': no number"
-        raise DataError(f"[motion] file {path}: {words}", remedy="correct the row")
-    for row in 1 + np.flatnonzero(np.diff(table[:, 0]) <= 0.0):
-        raise DataError(
-            f"[motion] file {path}: row {rows[row]}: the time does not increase",
+            f"[motion] file {path}: row {row}: the time does not increase",
             remedy="sort the rows by time, and leave out repeated times",
         )
-    place, angles = table[:, 1:4], np.radians(table[:, 4:])
-    place[:, :2] = np.unwrap(np.radians(place[:, :2]), axis=0)
-    return table[:, 0], place, np.unwrap(angles, axis=0)
+    angles = np.unwrap(np.radians([*place[:2], roll, pitch, heading]))
+    return time, np.stack([*angles[:2], place[2]], axis=1), angles[2:].T
 
 
 TRIPOD = float(np.arccos(1.0 / np.sqrt(3.0)))

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from piga.platform.chain import BudgetRow, LineRow, ModelComparisonRun, case_rates, last_east_lines
+from piga.platform.chain import BudgetRow, ModelComparisonRun, case_rates, last_east_lines
 from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
@@ -212,22 +212,19 @@ def navigation_page(comparison: ModelComparisonRun) -> Page:
     return replace(whole, title="Platform navigation", tiles=tiles)
 
 
-def comparison_page(
-    comparison: ModelComparisonRun, budget: Sequence[BudgetRow] = (), lines: Sequence[LineRow] = ()
-) -> Page:
+def comparison_page(comparison: ModelComparisonRun, budget: Sequence[BudgetRow] = ()) -> Page:
     """Page of ``piga platform compare``."""
     s, known = comparison.run.scenario, comparison.preparation
     histories = (partial(published_figure, comparison), partial(histories_figure, comparison))
     given = Text("The true misalignments were used.")
     table = given if known.identification is None else _parameter_table(known.identification, s)
-    tables = (_budget_table(budget) if budget else None, _line_budget_table(lines) if lines else None)
     shown = (
         *_line_sections(comparison),
         Section("Forty minutes and the whole run", "histories", histories),
         Section("Position", "position", (partial(position_figure, comparison),)),
         Section("Notes", "notes", tuple(Notice("info", note) for note in known.notes)),
         Section("What the models were given", "given", (table,)),
-        Section("Error budget by source", "budget", tables),
+        Section("Error budget by source", "budget", (_budget_table(budget) if budget else None,)),
     )
     return page("Compensation models compared", s, _comparison_tiles(comparison), sections(*shown))
 
@@ -323,23 +320,6 @@ def _budget_table(budget: Sequence[BudgetRow]) -> Table:
         .number("velocity", lambda b: short(1e3 * b.velocity_linear_m_s), "mm/s")
     )
     return table.table(notes=("Largest horizontal error over the run by the linear model, base at rest.",))
-
-
-def _line_budget_table(budget: Sequence[LineRow]) -> Table:
-    """Lines of each misalignment alone, in closed form."""
-    table = TableOf(budget).text("source", lambda b: b.source).number("period", lambda b: f"{b.period:g}", "s")
-    table.across(
-        list(_CHANNELS),
-        lambda channel: channel.replace("_", " "),
-        lambda b, channel: short(_CHANNELS[channel][1] * b.lines[channel]),
-        lambda channel: _CHANNELS[channel][0],
-    )
-    return table.table(
-        "Lines at the case-rotation periods by misalignment",
-        (
-            "Closed form, last day; the misalignment is wrong by its standard uncertainty (or one arc-second), base at rest.",
-        ),
-    )
 
 
 # -- figures ---------------------------------------------------------------------------------------

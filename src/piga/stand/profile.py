@@ -401,14 +401,14 @@ def read_profile(
     per_force = conversion_factor(force.unit, "m/s^2", what="[stand] force")
     rates, unit = (base_rate.columns, base_rate.unit) if base_rate else ((), "rad/s")
     per_rate = conversion_factor(unit, "rad/s", what="[stand] base_rate")
-    columns = _read_columns(path, list(dict.fromkeys([time.column, *force.columns, *rates])))
+    _, columns = read_columns(path, [time.column, *force.columns, *rates])
     f = per_force * np.column_stack([columns[name] for name in force.columns])
     rate = per_rate * np.column_stack([columns[name] for name in rates]) if rates else np.zeros(f.shape)
     return LoggedProfile(per_second * columns[time.column], f, rate)
 
 
-def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
-    """The named columns, in the units of the file."""
+def read_columns(path: Path, wanted: Iterable[str]) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """File rows, and the named columns in the units of the file. A cell without a number is refused."""
     try:
         stream = columns_stream(path, tuple(wanted))
         chunks = list(stream.chunks())
@@ -419,10 +419,10 @@ def _read_columns(path: Path, wanted: list[str]) -> dict[str, Array]:
         if event.kind == "truncated-last-line":
             raise refusal(path, event.detail, "end the line, or delete it if it was cut off")
     rows = np.concatenate([chunk.rows for chunk in chunks])
-    columns = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in wanted}
+    columns = {name: np.concatenate([chunk.numbers[name] for chunk in chunks]) for name in stream.numeric}
     for name, values in columns.items():
         for gap in np.flatnonzero(~np.isfinite(values)):
             where = Where(path, int(rows[gap]), (name,))
             words, remedy = f"row {rows[gap]}, column '{name}' is empty", "repair the profile first"
             raise DataError(f"{path}: {words}", remedy=remedy, where=where)
-    return columns
+    return rows, columns

@@ -26,7 +26,7 @@ from piga.platform.chain import (
     Preparation,
     channels,
     compare,
-    line_amplitudes,
+    fitted_lines,
     prepare,
 )
 from piga.platform.geometry import nulled_attitude
@@ -223,7 +223,7 @@ def last_lines(comparison: ModelComparisonRun, model: Model) -> dict[str, float]
     named = channels(errors)
     late = errors.times > errors.times[-1] - _LATE
     table = np.stack([named[c.channel][late] for c in CHANNELS], axis=1)
-    amplitude = line_amplitudes(errors.times[late], table, CASE_RATE, LATITUDE)
+    amplitude = fitted_lines(errors.times[late], table, (CASE_RATE,), LATITUDE)[0]
     return {c.channel: float(v) for c, v in zip(CHANNELS, amplitude, strict=True)}
 
 
