@@ -25,8 +25,8 @@ from piga.campaign.campaign_file import CampaignFile
 from piga.certificate.certificate_file import CertificateFile
 from piga.cli.main import app as command_line
 from piga.compensation.sets import TriadFile
-from piga.describe.draft import words_of
 from piga.gravity_norm import SetFile
+from piga.keys import words_of
 from piga.planning.plan_file import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import RunFile

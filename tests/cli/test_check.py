@@ -17,7 +17,7 @@ import pytest
 
 from piga.cli.check import explain
 from piga.data import copy_example, example_files
-from piga.describe.draft import FILES, places_of
+from piga.keys import FILES, places_of
 from piga.records.terms import TERM_WORDS, UNITS, term_words
 from tests.cli.runner import invoked, outcome
 from tests.records.files import lines, write_log, write_run

@@ -63,7 +63,7 @@ def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
     path = write_run(tmp_path)
     assert suggested(path) == [
         ("data", "header_row = 2"),
-        ("data", "time = { column = 't', stamp = 'hh:mm:ss.f' }"),
+        ("data", 'time = { column = "t", stamp = "hh:mm:ss.f" }'),
     ]
 
 

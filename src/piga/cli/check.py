@@ -33,7 +33,7 @@ from piga.errors import ArgumentError, PigaError
 if TYPE_CHECKING:
     from piga.calibration import TermProspect
     from piga.describe import LogDescription, RunFileDraft
-    from piga.describe.draft import KeyPlace
+    from piga.keys import KeyPlace
 
 
 _SET = "A value of the run file, e.g. data.time.unit=ms."
@@ -276,7 +276,7 @@ def noise(
 
 def explain(key: str) -> list[KeyPlace]:
     """The places of a key in all files: ``terms``, ``data.time.stamp`` or ``[data] time``."""
-    from piga.describe.draft import FILES, places_of
+    from piga.keys import FILES, places_of
 
     wanted = ".".join(re.sub(r"[\[\]]", " ", key.replace(".", " ")).split())
     every = [place for file in FILES for place in places_of(file)]
@@ -296,7 +296,7 @@ def explain(key: str) -> list[KeyPlace]:
 
 def explain_key(key: str, as_json: bool) -> None:
     """Say what a key means; places with the same meaning are named together."""
-    from piga.describe.draft import FILES
+    from piga.keys import FILES
 
     rows = [
         {

@@ -200,20 +200,10 @@ TOLD = "as you said"
 _TOLD = re.compile(r"(.+?)(?:[ -]([xyz])0?)?(?:\s*\[(.*)\])?")
 
 
-def as_told(
+def _as_told(
     guesses: list[ColumnGuess], told: Mapping[str, str], numbers: dict[str, Array]
 ) -> list[ColumnGuess]:
-    """The guesses with what the user said of some columns.
-
-    Parameters
-    ----------
-    guesses, numbers:
-        Of :func:`guess_columns`.
-    told:
-        By column: kind, axis and unit, such as ``"angle"``, ``"force x [g]"``. ``angle`` and ``rate`` are those of the output,
-        if no other column is the output and they do not stand still.
-    """
-    guesses = list(guesses)
+    """The guesses with what the user said of some columns."""
     for name, text in told.items():
         place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)
         if place is None:
@@ -261,7 +251,11 @@ def _told(guess: ColumnGuess, text: str) -> ColumnGuess:
 
 
 def guess_columns(
-    names: Mapping[str, str], units: dict[str, str], sample: dict[str, list[str]], numbers: dict[str, Array]
+    names: Mapping[str, str],
+    units: dict[str, str],
+    sample: dict[str, list[str]],
+    numbers: dict[str, Array],
+    told: Mapping[str, str],
 ) -> list[ColumnGuess]:
     """Guess what every named column holds.
 
@@ -273,16 +267,20 @@ def guess_columns(
         First cells of each column as text; empty for files that hold no text.
     numbers:
         Values of the number columns (n,).
+    told:
+        What the user said, by column: kind, axis and unit, such as ``"angle"``, ``"force x [g]"``. ``angle`` and ``rate`` are
+        those of the output, if no other column is the output and they do not stand still.
     """
     guesses = [
         _by_name(name, short, units.get(name, ""), sample.get(name, []), numbers.get(name))
         for name, short in names.items()
         if name
     ]
-    guesses = _one_output(guesses, numbers)
+    counted = any(guess.kind == "counts" and guess.name in numbers for guess in guesses)
+    guesses = [_turning(guess, numbers, counted) for guess in guesses]
     guesses = _by_values(guesses, numbers)
     guesses = _direct_output(_triad_by_values(guesses, numbers), numbers)
-    return [_with_unit(guess, guesses, numbers) for guess in guesses]
+    return _as_told([_with_unit(guess, guesses, numbers) for guess in guesses], told, numbers)
 
 
 _FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
@@ -367,13 +365,8 @@ def _by_unit(guess: ColumnGuess) -> ColumnGuess:
     return guess.but("other", why, axis=None)
 
 
-def _one_output(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:
-    """Tell the output angle and rate from those of the stand: the stand holds its value, the output turns."""
-    counted = any(guess.kind == "counts" and guess.name in numbers for guess in guesses)
-    return [_turning(guess, numbers, counted) for guess in guesses]
-
-
 def _turning(guess: ColumnGuess, numbers: dict[str, Array], counted: bool) -> ColumnGuess:
+    """Tell the output angle and rate from those of the stand: the stand holds its value, the output turns."""
     if guess.kind not in ("angle", "rate") or guess.name not in numbers:
         return guess
     held = Values.of(numbers[guess.name]).stepped

@@ -1,152 +1,38 @@
-"""A run file that is not complete yet: its tables, their comments, the open questions, and its text as TOML.
+"""A run file that is not complete yet, and what the signals of a log say for it.
 
-The meaning of the keys is in one table: ``piga/data/keys.txt``.
+The output: how the counter folds, which force it follows, scale factor and counts per revolution. The specific force: from its
+columns, or from the columns of the stand; and the terms that it can tell.
 """
 
 from __future__ import annotations
 
-import difflib
-import json
-import re
+import math
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cache, lru_cache
-from importlib import import_module
-from importlib.resources import files
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from piga.describe.log import Guess
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.describe.columns import TOLD, ColumnGuess
+from piga.describe.log import Guess, LogDescription
 from piga.errors import ArgumentError, UnitError
-from piga.text_files import si_unit, structs_in, toml_text, toml_value
-from piga.units import to_si
+from piga.keys import check_setting
+from piga.reading.columns import positions
+from piga.results import Array
+from piga.stand.scenario import head_positions
+from piga.text_files import toml_text, toml_value
+from piga.units import G0, parse_unit, to_si
 
-FILES: dict[str, tuple[str, str, str]] = {
-    "run": ("run file", "piga.records.run_file", "RunFile"),
-    "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
-    "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
-    "platform": ("platform scenario", "piga.platform.scenario", "ScenarioFile"),
-    "campaign": ("campaign file", "piga.campaign.campaign_file", "CampaignFile"),
-    "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
-    "set": ("run file of a set", "piga.gravity_norm.estimate", "SetFile"),
-    "triad": ("triad file", "piga.compensation.sets", "TriadFile"),
-}
-"""Kinds of TOML files: name, module and class of the whole file."""
-_MOST_PARTS = 6
-"""Most parts of a key's path."""
-
-
+COUNTED = ("counts", "pulses")
+"""Kinds of an output that needs the counts per revolution."""
 HEIGHT = (
     "CHECK: how high is the laboratory? Without [stand] height (or gravity) 500 m are assumed as its uncertainty: "
     "155 ppm of the scale factor"
 )
 """Comment of a draft that has neither height nor local gravity."""
-
-
-@dataclass(frozen=True)
-class _KeyWords:
-    """What a key means: its sentence, unit and an example of its value in TOML."""
-
-    sentence: str
-    unit: str
-    example: str
-
-
-@dataclass(frozen=True)
-class KeyPlace:
-    """A key of a file: its path, its type and default in words, and what it means."""
-
-    file: str
-    path: str
-    kind: str
-    default: str
-    words: _KeyWords
-
-
-@lru_cache(maxsize=1)
-def _key_table() -> dict[tuple[str, str], _KeyWords]:
-    """The words of every key, by class of the table and key. ``*``: keys that mean the same in several tables."""
-    table: dict[tuple[str, str], _KeyWords] = {}
-    section = ""
-    for line in files("piga.data").joinpath("keys.txt").read_text(encoding="utf-8").splitlines():
-        if line.startswith("["):
-            section = line.strip("[] ")
-        elif line.strip() and not line.startswith("#"):
-            key, unit, example, sentence = re.split(r" ?\| ?", line)
-            table[section, key] = _KeyWords(sentence, unit, example)
-    return table
-
-
-def words_of(struct: type, key: str) -> _KeyWords:
-    """The words of a key of a table, also of one that it extends; empty if it has none."""
-    known = _key_table()
-    names = [*(one.__name__ for one in struct.__mro__), "*"]
-    return next((known[name, key] for name in names if (name, key) in known), _KeyWords("", "", ""))
-
-
-@cache
-def places_of(file: str) -> tuple[KeyPlace, ...]:
-    """All keys of a kind of file, in order."""
-    _, module, name = FILES[file]
-    return tuple(_below(file, getattr(import_module(module), name), "", 0))
-
-
-def _below(file: str, struct: Any, path: str, depth: int) -> Iterator[KeyPlace]:
-    import msgspec
-
-    for entry in msgspec.structs.fields(struct):
-        where = f"{path}{entry.encode_name}"
-        words = words_of(struct, entry.encode_name)
-        yield KeyPlace(file, where, _type_words(entry.type), _default(entry), words)
-        for part in structs_in(entry.type) if depth < _MOST_PARTS else ():
-            yield from _below(file, part, f"{where}.", depth + 1)
-
-
-def _default(entry: Any) -> str:
-    import msgspec
-
-    if entry.required:
-        return "needed"
-    if isinstance(entry.default, msgspec.Struct):
-        return "its defaults"
-    if entry.default is msgspec.NODEFAULT or entry.default in (None, (), {}, ""):
-        return "none"
-    if isinstance(entry.default, float) and (unit := si_unit(entry.type)):
-        return f"{entry.default:.6g} {unit}".removesuffix(" 1")
-    return json.dumps(entry.default, ensure_ascii=False)
-
-
-_TYPES: dict[Any, str] = {
-    str: "text",
-    float: "number",
-    int: "whole number",
-    bool: "true | false",
-    Any: "any value",
-}
-
-
-def _type_words(annotation: Any) -> str:
-    """A type in words."""
-    origin, parts = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        plain = si_unit(annotation) and not structs_in(parts[0])
-        return "quantity" if plain else _type_words(parts[0])
-    if origin is Literal:
-        return " | ".join(f'"{part}"' for part in parts)
-    if origin in (Union, UnionType):
-        real = [part for part in parts if part is not type(None)]
-        words = ["quantity"] if {str, float} <= set(real) else []
-        words += [_type_words(part) for part in real if not words or part not in (str, float, int)]
-        return " or ".join(dict.fromkeys(words))
-    if origin in (tuple, list):
-        return f"list, each a {_type_words(parts[0])}"
-    if origin is dict:
-        return f"table, each key a {_type_words(parts[-1])}"
-    if structs_in(annotation):
-        return "table"
-    is_tuple = isinstance(annotation, type) and issubclass(annotation, tuple)
-    return "list" if is_tuple else _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
 
 
 @dataclass(frozen=True)
@@ -157,28 +43,16 @@ class Question:
     words: str
     example: str
 
-    @property
-    def toml(self) -> bool:
-        """True if the example is written in TOML, not a text."""
-        return self.example[:1] in "{[" or self.example.isdigit()
 
-
-_ASKED = (
-    ("instrument.scale_factor", "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"),
-    ("instrument.counts_per_revolution", "counts of the output per revolution of the outer gimbal", "72000"),
-    ("data.output", "column of the output", '{ column = "n", kind = "counts" }'),
-    ("data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz"),
-    (
-        "data.reference",
-        "columns of the specific force along X0, Y0 and Z0",
-        '{ columns = ["fx", "fy", "fz"], unit = "g" }',
-    ),
-    ("stand.latitude", "latitude of the laboratory", "40 deg"),
-    ("stand.height", "height of the laboratory above sea level (if you know it)", "320 m"),
-    ("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
-)
-QUESTIONS = {key: Question(key, words, example) for key, words, example in _ASKED}
-"""Values that no log need hold, by key of the run file."""
+_HEIGHT = Question("stand.height", "height of the laboratory above sea level (if you know it)", "320 m")
+_LATITUDE = Question("stand.latitude", "latitude of the laboratory", "40 deg")
+_RADIUS = Question("stand.radius", "radius of the centrifuge at the instrument", "1 m")
+_OUTPUT = Question("data.output", "column of the output", '{ column = "n", kind = "counts" }')
+_SAMPLE_RATE = Question("data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz")
+_FORCE = '{ columns = ["fx", "fy", "fz"], unit = "g" }'
+_REFERENCE = Question("data.reference", "columns of the specific force along X0, Y0 and Z0", _FORCE)
+_COUNTS = "instrument.counts_per_revolution"
+_PER_TURN = Question(_COUNTS, "counts of the output per revolution of the outer gimbal", "72000")
 
 
 @dataclass
@@ -231,7 +105,7 @@ class RunFileDraft:
             comments[f"{table}."] = [
                 *comments.get(f"{table}.", []),
                 f"OPEN: {one.words}. Correct the next line and remove its #.",
-                f"{key} = {one.example if one.toml else toml_value(one.example)}",
+                f"{key} = {toml_value(setting(f'{one.key}={one.example}')[1])}",
             ]
         return toml_text({name: self.document[name] for name in order}, comments)
 
@@ -241,14 +115,12 @@ class RunFileDraft:
         for one in self.open:
             whole.put(one.key, setting(f"{one.key}={one.example}")[1])
         output = whole.document["data"].get("output")
-        if isinstance(output, Mapping) and output.get("kind") in ("counts", "pulses"):
+        if isinstance(output, Mapping) and output.get("kind") in COUNTED:
             whole.document["instrument"].setdefault("counts_per_revolution", 72000)
         return whole
 
     def give(self, key: str, value: Any) -> None:
         """Set a value that the user gave, also inside an inline table."""
-        if key in ("stand.height", "stand.gravity") and HEIGHT in self.comments.get("stand.kind", []):
-            self.comments["stand.kind"].remove(HEIGHT)
         parts = key.split(".")
         at: dict[str, Any] = self.document.setdefault(parts[0], {})
         for part in parts[1:-1]:
@@ -256,39 +128,38 @@ class RunFileDraft:
             at[part] = dict(inner) if isinstance(inner, Mapping) else {}
             at = at[part]
         at[parts[-1]] = value
-        if parts[0] == "data" and parts[1] in ("time", "sample_rate"):
-            at_data = self.document["data"]
-            at_data.pop("sample_rate" if parts[1] == "time" else "time", None)
+        if parts[:2] in (["data", "time"], ["data", "sample_rate"]):
+            self.document["data"].pop("sample_rate" if parts[1] == "time" else "time", None)
         if parts[-1] == "stamp":
             at.pop("unit", None)
         self.comments[".".join(parts[:2])] = ["as given"]
 
     def ask(self) -> None:
         """Ask all questions that are still open."""
-        document = self.document
-        own, data, stand = document["instrument"], document["data"], document.get("stand")
-        missing = []
-        if "output" not in data:
-            missing.append("data.output")
-        if "time" not in data and "sample_rate" not in data:
-            missing.append("data.sample_rate")
-        if "scale_factor" not in own:
-            missing.append("instrument.scale_factor")
-        counted = isinstance(data.get("output"), Mapping) and data["output"].get("kind") in ("counts", "pulses")
-        if counted and "counts_per_revolution" not in own and "instrument.scale_factor" not in missing:
-            missing.append("instrument.counts_per_revolution")
-        if stand is not None:
-            missing += ["stand.latitude"] if "latitude" not in stand else []
-            missing += ["stand.radius"] if stand.get("kind") == "centrifuge" and "radius" not in stand else []
-        elif "reference" not in data:
-            missing.append("data.reference")
-        self.open = [QUESTIONS[key] for key in missing]
-        if own.get("kind") == "direct" and "scale_factor" not in own:
-            unit = data["output"].get("unit", "V")
-            words = "nominal scale factor: its output for 1 g"
-            self.open[0] = Question("instrument.scale_factor", words, f"1.3 {unit}/g")
-        known = stand is None or "height" in stand or "gravity" in stand
-        self.optional = [] if known else [QUESTIONS["stand.height"]]
+        own, data, stand = self.document["instrument"], self.document["data"], self.document.get("stand")
+        counted = isinstance(data.get("output"), Mapping) and data["output"].get("kind") in COUNTED
+        words, example = "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"
+        if own.get("kind") == "direct" and "output" in data:
+            words, example = (
+                "nominal scale factor: its output for 1 g",
+                f"1.3 {data['output'].get('unit', 'V')}/g",
+            )
+        scale = Question("instrument.scale_factor", words, example)
+        per_turn = counted and "scale_factor" in own and "counts_per_revolution" not in own
+        at = {} if stand is None else stand
+        missing = (
+            (_OUTPUT, "output" not in data),
+            (_SAMPLE_RATE, not {"time", "sample_rate"} & {*data}),
+            (scale, "scale_factor" not in own),
+            (_PER_TURN, per_turn),
+            (_LATITUDE, stand is not None and "latitude" not in at),
+            (_RADIUS, at.get("kind") == "centrifuge" and "radius" not in at),
+            (_REFERENCE, stand is None and "reference" not in data),
+        )
+        self.open = [question for question, is_open in missing if is_open]
+        if stand is not None and not {"height", "gravity"} & {*stand}:
+            self.optional = [_HEIGHT]
+            self.comments.setdefault("stand.kind", []).append(HEIGHT)
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -300,25 +171,11 @@ def setting(text: str) -> tuple[str, Any]:
             f"--set {text}: is not table.key=value",
             remedy="e.g. --set instrument.scale_factor='0.8884 rad/s/g'",
         )
-    _check_key(key)
+    check_setting(key)
     try:
         return key, tomllib.loads(f"value = {written.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         return key, written.strip()
-
-
-def _check_key(key: str) -> None:
-    """Refuse a key that no run file has. The tables of a stand are those of a scenario."""
-    stand = [place for place in places_of("scenario") if place.path.startswith("stand")]
-    kinds = {place.path: place.kind for place in (*places_of("run"), *stand)} | {"stand.kind": "text"}
-    above = [kinds.get(key[: at.start()], "") for at in re.finditer(r"\.", key)]
-    if key in kinds or re.search(r"any value|each key|list", " ".join(above)):
-        return
-    beside = [path for path in kinds if path.rpartition(".")[0] == key.rpartition(".")[0]]
-    near = difflib.get_close_matches(key, kinds, n=4) or beside or [path for path in kinds if "." not in path]
-    raise ArgumentError(
-        f"--set {key}: a run file has no such key", remedy=f"the nearest keys: {', '.join(near)}"
-    )
 
 
 def number_in(text: Any) -> float:
@@ -341,3 +198,381 @@ def quantity_text(text: Any, unit: str) -> str:
             continue
         return written
     return str(text)
+
+
+# -- signals ---------------------------------------------------------------------------------------------
+
+_WIDTHS = (8, 12, 16, 20, 24, 32)
+"""Usual widths of counters [bits]."""
+_ROUND_COUNTS = 0.02
+"""Counts per revolution are rounded to a usual number within this relative distance."""
+_USUAL_COUNTS = tuple(
+    sorted(
+        {m * 10**k for m in (1, 1.44, 1.8, 2, 2.5, 3.6, 4, 5, 7.2, 8) for k in range(2, 7)}
+        | {2**k for k in range(8, 25)}
+    )
+)
+MOVING = 0.02
+"""Largest share of the rows in which a stand moves while a column numbers a position."""
+_SAME_PLACE = 0.003
+"""Largest distance from the middle of a position, relative to the largest value of the stand."""
+_LEAST_RELATED = 0.9
+"""Least correlation of the output rate with the specific force along an axis that is taken for the input axis."""
+
+
+def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
+    """Describe the output of the log, and return its column; None if no column holds a running output."""
+    outputs = [column for kind in ("counts", "pulses", "angle", "rate", "direct") for column in log.of(kind)]
+    outputs.sort(key=lambda column: not column.reason.startswith(TOLD))
+    if not outputs:
+        return None
+    column = outputs[0]
+    value: dict[str, Any] = {"column": column.name, "kind": column.kind}
+    reasons = [column.reason]
+    x = log.numbers.get(column.name, np.empty(0))
+    if column.kind == "counts" and _of_each_sample(log, x):
+        column = replace(column, kind="pulses")
+        value["kind"] = "pulses"
+        reasons.append("it follows the specific force itself: the pulses of each sample, which are summed")
+    elif column.kind == "counts":
+        bits = _counter_bits(x)
+        if bits is not None:
+            draft.put("instrument.counter_bits", *bits, "  or: leave it out, if the counter was reset there")
+    elif column.kind == "direct":
+        value |= {"kind": "rate", "unit": column.unit}
+        draft.put("instrument.kind", "direct", f"{column.name} is in {column.unit}: no gimbal")
+    elif column.kind != "pulses":
+        value["unit"] = column.unit
+        fold = _fold(x, column.unit) if column.kind == "angle" else None
+        if fold is not None:
+            value["wraps_at"] = fold[0]
+            reasons.append(fold[1])
+    draft.put("data.output", value, *reasons)
+    return column
+
+
+def _of_each_sample(log: LogDescription, x: Array) -> bool:
+    """True if counts, not their steps, follow the specific force: they are the pulses of each sample."""
+    forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
+    angles = [one for one in log.of("stand-angle") if one.name in log.numbers]
+    forces += [np.cos(log.numbers[one.name] * parse_unit(one.unit).factor) for one in angles]
+    forces += [log.numbers[one.name] ** 2 for one in log.of("stand-speed") if one.name in log.numbers]
+    themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
+    steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
+    return themselves > 0.99 and steps < 0.5
+
+
+def _correlation(y: Array, x: Array) -> float:
+    """Correlation of two columns, without gaps and jumps of y; 0 where one of them is the same everywhere."""
+    good = np.isfinite(x) & np.isfinite(y)
+    good &= np.abs(y) <= 3.0 * np.quantile(np.abs(y[good]), 0.9) if good.any() else False
+    x, y = x[good], y[good]
+    if x.size < 10 or np.std(y) == 0.0 or np.std(x) <= 0.02 * np.abs(x).max():
+        return 0.0
+    return float(np.corrcoef(x, y)[0, 1])
+
+
+def _counter_bits(x: Array) -> tuple[int, str] | None:
+    """Width of a counter that folds: the narrowest one that holds its values, if it falls by more than half of it.
+
+    Its steps, each the shortest way round, are then below half of it in nearly every row.
+    """
+    x = x[np.isfinite(x)]
+    if x.size < 3:
+        return None
+    d = np.diff(x)
+    low, high, at = float(x.min()), float(x.max()), int(np.argmax(np.abs(d)))
+    signed = low < 0.0
+    bits = next((n for n in _WIDTHS if -low <= 2.0 ** (n - signed) > high), None)
+    if bits is None:
+        return None
+    span = 2.0**bits
+    usual = float(np.quantile(np.abs(np.remainder(d + 0.5 * span, span) - 0.5 * span), 0.9))
+    if abs(d[at]) <= 0.5 * span or usual >= 0.4 * span:
+        return None
+    inside = f"between -2^{bits - 1} and 2^{bits - 1}" if signed else f"below 2^{bits}"
+    return bits, f"goes from {x[at]:.0f} to {x[at + 1]:.0f} in one row, and stays {inside}"
+
+
+def _fold(x: Array, unit: str) -> tuple[str, str] | None:
+    """The value at which an angle folds back, if it does so at a whole turn."""
+    x = x[np.isfinite(x)]
+    if x.size < 3:
+        return None
+    turn = 2.0 * math.pi / parse_unit(unit).factor
+    size = float(np.abs(np.diff(x)).max())
+    if x.max() - x.min() <= 1.001 * turn and size > 0.5 * turn:
+        return f"{turn:.12g} {unit}", f"folds back at {turn:.6g} {unit}: a step of {size:.6g}"
+    return None
+
+
+def _from_input_axis(rate: Array, log: LogDescription, names: list[str]) -> tuple[list[str], list[str]]:
+    """The columns of the specific force from the input axis on, and why. The output turns with the force along X0."""
+    related = [_correlation(rate, _beside(rate, log.numbers[name])) for name in names]
+    first = int(np.argmax(np.abs(related)))
+    if abs(related[first]) < _LEAST_RELATED:
+        follows_none = all(np.isfinite(related)) and max(map(abs, related)) > 0.0
+        why = f"CHECK: the output does not follow {names[0]} (correlation {abs(related[0]):.2f})"
+        return names, [why] if follows_none else []
+    if first == 0 or abs(related[0]) >= _LEAST_RELATED:
+        return names, []
+    why = (
+        f"CHECK: the output turns with {names[first]}, so this is X0; Y0 and Z0 follow in the sense of rotation"
+    )
+    return [*names[first:], *names[:first]], [why]
+
+
+def _rate_of(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> Array | None:
+    """Rate of the output in its unit per second: in each row, or from row to row. None without values or times."""
+    x, data = log.numbers.get(output.name), draft.document["data"]
+    if x is None or output.kind in ("rate", "direct"):
+        return x
+    time, step = data.get("time"), np.array(math.nan)
+    if isinstance(time, Mapping):
+        t = log.numbers.get(str(time.get("column")), np.empty(0))
+        step = np.diff(t) * parse_unit(str(time.get("unit", "s"))).factor
+    elif "sample_rate" in data:
+        with suppress(UnitError, ZeroDivisionError):  # the reader of the run file says it
+            step = np.array(1.0 / to_si(data["sample_rate"], "Hz"))
+    if step.size == 0 or np.isnan(step).all():
+        return None
+    steps = x[1:] if output.kind == "pulses" else np.diff(x)
+    if bits := draft.document["instrument"].get("counter_bits"):
+        steps = np.remainder(steps + 2.0 ** (bits - 1), 2.0**bits) - 2.0 ** (bits - 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = steps / step
+    return np.where(np.isfinite(rate), rate, np.nan)
+
+
+def _beside(rate: Array, force: Array) -> Array:
+    """The force at the times of a rate."""
+    return force if force.size == rate.size else 0.5 * (force[1:] + force[:-1])
+
+
+def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None) -> None:
+    """Serial number, scale factor and counts per revolution: from the preamble, else from the slope of the output."""
+    own = draft.document["instrument"]
+    if "serial" not in own:
+        name = "".join(c if c.isprintable() else "_" for c in log.path.name.split(".")[0])
+        unknown = Guess(name, "the name of the file; no serial number stands in the log")
+        draft.put_guess("instrument.serial", log.facts.get("instrument.serial", unknown))
+    if "scale_factor" not in own:
+        draft.put_fact(log.facts, "instrument.scale_factor", "rad/s/g")
+    counts = log.facts.get("instrument.counts_per_revolution")
+    if counts is not None and "counts_per_revolution" not in own and number_in(counts.value) > 0.0:
+        draft.put("instrument.counts_per_revolution", number_in(counts.value), counts.reason)
+    slope = None if output is None else _slope(draft, log, output)
+    if output is None or slope is None:
+        return
+    if "scale_factor" in own:
+        if output.kind in COUNTED and "counts_per_revolution" not in own:
+            _counts_of(draft, slope)
+        return
+    unit = "rad/s"
+    if output.kind == "direct":
+        factor, unit = 1.0, output.unit
+    elif output.kind not in COUNTED:
+        factor = parse_unit(output.unit).factor
+    elif "counts_per_revolution" in own:
+        factor = 2.0 * math.pi / float(own["counts_per_revolution"])
+    else:
+        return
+    draft.put(
+        "instrument.scale_factor",
+        f"{slope * factor * G0:.4g} {unit}/g",
+        "from the log: output rate over specific force along X0",
+    )
+
+
+def _counts_of(draft: RunFileDraft, slope: float) -> None:
+    """Counts per revolution from the slope of the counts and the nominal scale factor."""
+    scale = to_si(draft.document["instrument"]["scale_factor"], "rad/s/g", what="instrument.scale_factor")
+    if scale <= 0.0:
+        return  # the reader of the run file says it
+    value = 2.0 * math.pi * slope / scale
+    near = min(_USUAL_COUNTS, key=lambda usual: abs(math.log(usual / value)))
+    if abs(near / value - 1.0) <= _ROUND_COUNTS:
+        draft.put(
+            "instrument.counts_per_revolution",
+            int(near),
+            f"from the log: {value:.5g} with the nominal scale factor; the nearest usual number",
+        )
+    else:
+        why = f"with the nominal scale factor the log gives about {value:.5g} counts per revolution; not a usual number"
+        draft.comments.setdefault("instrument.", []).append(why)
+
+
+def _force(draft: RunFileDraft, log: LogDescription) -> tuple[Array | None, float, str]:
+    """Specific force along X0 by row, its unit [m/s^2], and where it is large. The unit is nan for an arm of unknown radius."""
+    reference, kind = draft.document["data"].get("reference"), draft.document.get("stand", {}).get("kind")
+    angle, speed = log.of("stand-angle")[:1], log.of("stand-speed")[:1]
+    if isinstance(reference, Mapping):
+        name = str(next(iter(reference.get("columns", ("",)))))
+        return log.numbers.get(name), parse_unit(str(reference["unit"])).factor, f"{name} is positive"
+    if kind == "dividing-head" and angle:
+        column = np.cos(log.numbers[angle[0].name] * parse_unit(angle[0].unit).factor)
+        return column, G0, "the input axis points up"
+    return (
+        log.numbers[speed[0].name] ** 2 if kind == "centrifuge" and speed else None,
+        math.nan,
+        "the arm is fast",
+    )
+
+
+def _slope(draft: RunFileDraft, log: LogDescription, output: ColumnGuess) -> float | None:
+    """Rate of the output over specific force along X0 [units/s per m/s^2]. A falling output is turned round."""
+    rate, (force, unit, where) = _rate_of(draft, log, output), _force(draft, log)
+    if rate is None or force is None:
+        return None
+    level = _beside(rate, force)
+    large = np.abs(level) > 0.3 * np.nanmax(np.abs(level), initial=0.0)
+    good = np.isfinite(rate) & np.isfinite(level) & large
+    if good.sum() < 10:
+        return None
+    slope = float(np.median(rate[good] / level[good]))
+    good &= np.abs(rate - slope * level) < 0.2 * np.abs(slope * level)  # no folds, no moves
+    mean = float(np.sum(rate[good] * level[good]) / np.sum(level[good] ** 2)) if good.any() else 0.0
+    turned = draft.document["data"]["output"]
+    if mean < 0.0 and "direction" not in turned:
+        turned["direction"] = -1
+        draft.comments.setdefault("data.output", []).append(f"direction = -1: the output falls where {where}")
+    return abs(mean) / unit if mean and math.isfinite(unit) else None
+
+
+EARTH = (
+    "CHECK: no rate of the base is logged. The rotation of the Earth stays in the coefficients (up to 82 ppm of the "
+    "scale factor, 82 ug of k0): give [data] base_rate, or a [stand] table with the latitude in place of the reference"
+)
+_LEAST_SWING = 0.01
+"""Transverse specific force [g] from which on ``tan_beta`` is asked for."""
+
+
+def put_reference(
+    draft: RunFileDraft, log: LogDescription, output: ColumnGuess | None, settings: Mapping[str, Any]
+) -> None:
+    """The specific force: from its columns, or from the columns of the stand."""
+    group = triad(log.of("force"))
+    if group:
+        names = [column.name for column in group]
+        checks: list[str] = []
+        rate = None if output is None else _rate_of(draft, log, output)
+        if rate is not None:
+            names, checks = _from_input_axis(rate, log, names)
+        draft.put("data.reference", {"columns": names, "unit": group[0].unit}, group[0].reason, *checks)
+        if "base_rate" not in draft.document["data"] and not _direct(draft):
+            draft.comments["data.reference"].append(EARTH)
+        return
+    if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
+        return
+    for column in (*log.of("stand-angle")[:1], *log.of("stand-speed")[:1]):
+        held = _holds(draft, log, column) if column.name in log.numbers else None
+        if held is not None:
+            _put_stand(draft, log, column, [f"{value:.9g} {column.unit}" for _, value in held])
+            return
+
+
+def triad(columns: list[ColumnGuess]) -> list[ColumnGuess]:
+    """The first column of each axis, X0 to Z0, if they have one unit; else none."""
+    first: dict[int | None, ColumnGuess] = {}
+    for column in columns:
+        first.setdefault(column.axis, column)
+    whole = list(first) == [0, 1, 2] and len({column.unit for column in first.values()}) == 1
+    return list(first.values()) if whole else []
+
+
+def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> list[tuple[str, float]] | None:
+    """Label and mean value of the stand in each segment, in order. None if it does not hold still."""
+    x, labels = log.numbers[column.name], log.labels
+    change, names = np.empty(0, np.int64), []
+    if labels is not None and labels.size == x.size:
+        change = np.flatnonzero(np.diff(labels) != 0) + 1
+        names = [log.label_names[code] if code >= 0 else "" for code in labels[np.r_[0, change]]]
+    if not names or _moves_within(x, change):
+        if spans := positions(x):
+            share = sum(stop - start for start, stop in spans) / x.size
+            none = "the numbers of the positions cover moves" if names else "no column numbers the positions"
+            draft.put(
+                "data.segment",
+                {"holds_of": column.name},
+                f"{none}; {column.name} stands still {len(spans)} times, in {100.0 * share:.0f} % of the rows. "
+                "The rows between are not used",
+            )
+            return [(str(k + 1), float(np.nanmean(x[start:stop]))) for k, (start, stop) in enumerate(spans)]
+        if not names:
+            return None
+    parts = np.split(x, change)
+    return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
+
+
+def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
+    """True if the stand moves in more than a few rows of the parts of a column that begin at ``change``."""
+    parts = [part for part in np.split(x, change) if np.isfinite(part).any()]
+    limit = _SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in parts), default=0.0)
+    return (
+        sum(int(np.count_nonzero(np.abs(part - np.nanmedian(part)) > limit)) for part in parts)
+        > MOVING * x.size
+    )
+
+
+def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, values: list[str]) -> None:
+    """The stand of a column: a head of its angles, or an arm of its speeds."""
+    head = column.kind == "stand-angle"
+    why = f"{column.name} is the {'angle' if head else 'speed'} of the stand: {column.reason}"
+    draft.put("stand.kind", "dividing-head" if head else "centrifuge", why, '  or: kind = "rate-table"')
+    mean = f"mean of {column.name} in each of {len(values)} segments, in order"
+    if head:
+        signs = "0 deg has X0 up; change the signs if the head turns the other way"
+        north = "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)"
+        draft.put("stand.positions", values, mean, signs, north)
+    else:
+        draft.put("stand.rates", values, mean)
+        draft.put("stand.down", False, "the list holds the levels up and down as they were run")
+        draft.put_fact(log.facts, "stand.radius", "m")
+    draft.put_fact(log.facts, "stand.latitude", "deg")
+    draft.put_fact(log.facts, "stand.height", "m")
+    draft.put_fact(log.facts, "stand.gravity", "m/s^2")
+
+
+def _direct(draft: RunFileDraft) -> bool:
+    """True for an instrument without a gimbal."""
+    return draft.document["instrument"].get("kind") == "direct"
+
+
+def put_terms(draft: RunFileDraft, log: LogDescription) -> None:
+    """Terms that the positions of the test can determine."""
+    force = _levels(draft, log)
+    if force is None:
+        terms = ["scale_factor", "k0"] if _direct(draft) else ["scale_factor", "tan_beta", "k0"]
+        draft.put("model.terms", terms, "the terms of every instrument")
+        return
+    a_x, a_y, a_z = force.T
+    terms = ["scale_factor"]
+    if np.hypot(a_y, a_z).max() > _LEAST_SWING and not _direct(draft):
+        terms.append("tan_beta")
+    columns = [a_x]
+    for name, column in (("k0", np.ones_like(a_x)), ("m_Y", a_y), ("m_Z", a_z)):
+        trial = np.column_stack([*columns, column])
+        size = np.linalg.norm(trial, axis=0)
+        if size.min() <= _LEAST_SWING * math.sqrt(a_x.size):
+            continue
+        if np.linalg.svd(trial / size, compute_uv=False)[-1] > _LEAST_SWING:
+            terms.append(name)
+            columns.append(column)
+    draft.put("model.terms", terms, f"terms that the {a_x.size} levels of this log can tell; more: piga terms")
+
+
+def _levels(draft: RunFileDraft, log: LogDescription) -> Array | None:
+    """Specific force [g] at some rows (n, 3)."""
+    reference, stand = draft.document["data"].get("reference"), draft.document.get("stand", {})
+    if isinstance(reference, Mapping):
+        columns = [log.numbers[name] for name in reference.get("columns", ()) if name in log.numbers]
+        if len(columns) != 3:
+            return None
+        f = np.column_stack(columns) * parse_unit(str(reference["unit"])).factor / G0
+        f = f[np.isfinite(f).all(axis=1)][:: max(f.shape[0] // 2000, 1)]
+        return np.unique(f.round(4), axis=0) if f.size else None
+    positions = stand.get("positions")
+    if stand.get("kind") == "dividing-head" and isinstance(positions, list | str | Mapping):
+        x = np.array(head_positions(list(positions.values()) if isinstance(positions, Mapping) else positions))
+        return np.column_stack([np.cos(x), -np.sin(x), np.zeros(x.size)])
+    return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from piga.describe.columns import (
     TOLD,
     ColumnGuess,
-    as_told,
     fact,
     guess_columns,
     kind_of_name,
@@ -23,7 +23,7 @@ from piga.describe.columns import (
     without_fills,
 )
 from piga.errors import DataError, PigaError
-from piga.formats.columns import RecordStream
+from piga.formats.columns import FileChunk, RecordStream
 from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
 from piga.formats.text.convention import (
     COMMENT,
@@ -134,7 +134,7 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
         numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
     fills = without_fills(numbers, numeric)
     valued = {name: numbers[name] for name in numeric}
-    columns = as_told(guess_columns(names, form.units, layout.sample, valued), told, valued)
+    columns = guess_columns(names, form.units, layout.sample, valued, told)
     labels = tuple(stream.label_names)
     return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels, fills)
 
@@ -170,11 +170,10 @@ def _collected(
     stream: RecordStream, names: tuple[str, ...]
 ) -> tuple[dict[str, Array], NDArray[np.int32] | None]:
     """The first rows of a stream: numbers by column, and the codes of the labels."""
-    chunks, rows = [], 0
+    chunks: list[FileChunk] = []
     for chunk in stream.chunks():
         chunks.append(chunk)
-        rows += chunk.rows.size
-        if rows >= _MOST_LOG_ROWS:
+        if sum(one.rows.size for one in chunks) >= _MOST_LOG_ROWS:
             break
     codes = [chunk.codes for chunk in chunks if chunk.codes is not None]
     numbers = {name: np.concatenate([np.empty(0), *(one.numbers[name] for one in chunks)]) for name in names}
@@ -197,7 +196,7 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
         stream = columns_stream(path, (other,), label, sheet)
         codes, labels = _collected(stream, (other,))[1], stream.label_names
     fills = without_fills(numbers, tuple(numbers))
-    columns = as_told(guess_columns(names, units | stated, {}, numbers), told, numbers)
+    columns = guess_columns(names, units | stated, {}, numbers, told)
     columns += [ColumnGuess(n, "other", "it is in another group") for n in listed[sheet] if n not in names]
     facts = {}
     if len(listed) > 1:
@@ -276,7 +275,6 @@ _MOST_HEAD_LINES = 400
 """Lines of the head that are examined."""
 SEPARATORS = ("\t", ";", "|", ",", " ")
 """Separators that are tried, the likelier ones first. A blank stands for any number of blanks and tabs."""
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _EMPTY = {*MISSING, *INFINITE}
 
@@ -309,20 +307,17 @@ def text_layout(path: Path) -> TextLayout:
     """Guess the layout of a text log from its first lines."""
     first = TextSource(path, None).encoding
     tried = sorted(GUESSED, key=lambda one: one != first) if first in GUESSED else [first]
-    layouts = []
+    heads: dict[str, str] = {}
     for encoding in tried:
-        try:
-            head = TextSource(path, encoding).head.decode("utf-8", errors="replace")
-        except DataError:
-            continue
-        layouts.append(_layout(head, path, encoding))
+        with suppress(DataError):  # no text in this encoding
+            heads[encoding] = TextSource(path, encoding).head.decode("utf-8", errors="replace")
+    layouts = [_layout(head, path, encoding) for encoding, head in heads.items()]
     best = max(layouts, key=lambda one: known_names(one.form.names))
     if best.form.encoding in ("utf-8", "ascii"):
         return best
     others = tuple(one.form.encoding for one in layouts if one is not best)
-    why = "the bytes are not UTF-8, and the column names are words in this encoding"
-    if len(tried) == 1:
-        why = "the file has a byte-order mark"
+    words = "the bytes are not UTF-8, and the column names are words in this encoding"
+    why = words if len(tried) > 1 else "the file has a byte-order mark"
     return replace(best, guesses=best.guesses | {"encoding": Guess(best.form.encoding, why, others)})
 
 
@@ -389,7 +384,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    return bool(cell in _EMPTY or _NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell) or forms_of([cell]))
+    return bool(cell in _EMPTY or is_number(cell, ".") or _COMMA.fullmatch(cell) or forms_of([cell]))
 
 
 _LEAST_ABOVE = 3

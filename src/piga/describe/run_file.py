@@ -5,21 +5,27 @@ Every guessed line has its reason and its alternatives. Every line of a repair i
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from piga.describe.columns import ColumnGuess, Values, kind_of_name, plain
-from piga.describe.draft import RunFileDraft, number_in
-from piga.describe.log import LogDescription
-from piga.describe.signals import put_instrument, put_output, put_reference, put_terms, triad
+from piga.describe.columns import ColumnGuess, Values
+from piga.describe.draft import (
+    RunFileDraft,
+    number_in,
+    put_instrument,
+    put_output,
+    put_reference,
+    put_terms,
+    triad,
+)
+from piga.describe.log import LogDescription, describe_log
 from piga.errors import DataError, PigaError
 from piga.records.run import Run
 from piga.results import Array
@@ -96,7 +102,7 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
 def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
     why = f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
-    for change in _of_error(error, draft.document):
+    for change in _changes(error, draft.document, {}):
         _, key, value, _ = change
         run = _read(path, _changed(draft.document, change)) if key in ("missing", "damaged_rows") else error
         if isinstance(run, Run) and run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
@@ -167,11 +173,6 @@ def _fills(draft: RunFileDraft, log: LogDescription) -> None:
 
 _PROBLEMS = 8
 """Most problems that are solved one after the other."""
-_TRIED: dict[str, tuple[Any, ...]] = {
-    "encoding": ("cp1252", "gb18030", "big5", "shift_jis", "utf-16-le", "utf-16-be"),
-    "counter_bits": (16, 24, 32),
-}
-"""Values that are tried for a key whose value an error leaves open."""
 
 
 @dataclass(frozen=True)
@@ -197,28 +198,28 @@ def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
     """
     try:
         document: Document = toml_document(path, content)
-    except PigaError:
+        log = path.parent / document["data"]["file"]
+    except (PigaError, KeyError, TypeError):
         return []
+    fresh: Document = {}
+    with suppress(PigaError):  # a log that cannot be described
+        fresh = draft_run_file(describe_log(log)).document
     kept: list[Change] = []
     for _ in range(_PROBLEMS):
-        outcome = _read(path, document)
-        if isinstance(outcome, Run):
-            return [
-                Suggestion(table, f"{toml_key(key)} = {_shown(value)}", why) for table, key, value, why in kept
-            ]
-        known = [change[:3] for change in kept]
-        new = [change for change in _working(path, document, outcome) if change[:3] not in known]
+        before = _read(path, document)
+        if isinstance(before, Run):
+            lines = ((table, f"{toml_key(key)} = {toml_value(value)}", why) for table, key, value, why in kept)
+            return [Suggestion(*line) for line in lines]
+        changes = _changes(before, document, fresh)
+        tried = [(change, _read(path, _changed(document, change))) for change in changes if change not in kept]
+        new = [change for change, after in tried if isinstance(after, Run)] or [
+            change for change, after in tried if _problem(after) != _problem(before) and change[1] != "sheet"
+        ]
         if not new:
             break
         kept += new
         document = _changed(document, new[0])
     return []
-
-
-def _shown(value: Any) -> str:
-    """A value with single quotes, as in the messages."""
-    text = toml_value(value)
-    return text if "'" in text or "\\" in text else text.replace('"', "'")
 
 
 def _read(path: Path, document: Document) -> Run | PigaError:
@@ -229,22 +230,9 @@ def _read(path: Path, document: Document) -> Run | PigaError:
         return error
 
 
-def _working(path: Path, document: Document, before: PigaError) -> list[Change]:
-    """The changes with which the log can be read, or else those that lead to another problem."""
-    changes = {(table, key, toml_value(value)): (table, key, value, why)
-               for table, key, value, why in _of_error(before, document)}  # fmt: skip
-    tried = [(change, _read(path, _changed(document, change))) for change in changes.values()]
-    read = [change for change, after in tried if isinstance(after, Run)]
-    return read or [
-        change
-        for change, after in tried
-        if isinstance(after, PigaError) and _problem(after) != _problem(before) and change[1] != "sheet"
-    ]
-
-
-def _problem(error: PigaError) -> str:
+def _problem(outcome: Run | PigaError) -> str:
     """The message of an error without the columns, whose letters depend on the encoding."""
-    return error.message.partition("; the columns are")[0]
+    return outcome.message.partition("; the columns are")[0] if isinstance(outcome, PigaError) else ""
 
 
 def _changed(document: Document, change: Change) -> dict[str, Any]:
@@ -252,43 +240,22 @@ def _changed(document: Document, change: Change) -> dict[str, Any]:
     return {**document, table: {**document.get(table, {}), key: value}}
 
 
-def _of_error(error: PigaError, document: Document) -> list[Change]:
-    """The keys that an error names, with their values or those that are tried; and names of columns that are nearly those."""
+def _changes(error: PigaError, document: Document, fresh: Document) -> list[Change]:
+    """The keys that an error names, with their values; else as a ``fresh`` draft has them, as the keys of a missing column."""
     first = error.message.split(": ", 1)[-1][:160]
     reasons = {"sheet": "one of the sheets", "counter_bits": "if the counter wraps at that width"}
     words = document.get("data", {}).get("missing", [])
-    changes = [
-        (fix.table, fix.key, [*words, *value] if fix.key == "missing" else value, reasons.get(fix.key, first))
-        for fix in error.fixes
-        for value in (_TRIED.get(fix.key, ()) if fix.value is None else (fix.value,))
-    ]
-    if error.columns and error.where is not None:
-        changes += _of_names(error.where.columns, error.columns, document)
-    return changes
-
-
-def _of_names(missing: Sequence[str], columns: Sequence[str], document: Document) -> list[Change]:
-    """Keys of ``[data]`` with a similar name in place of each that is not there, all at once."""
-    near = {name: similar for name in missing if (similar := _similar_name(name, columns)) is not None}
-    data = document.get("data", {})
-    changes: list[Change] = []
-    for key, value in data.items():
-        names = [name for name in near if f'"{name}"' in toml_value(value)]
-        if names and key not in ("file", "missing"):
-            text = toml_value(value)
-            for name in names:
-                text = text.replace(f'"{name}"', toml_value(near[name]))
+    changes = []
+    for fix in error.fixes:
+        value = fresh.get(fix.table, {}).get(fix.key) if fix.value is None else fix.value
+        value = [*words, *value] if fix.key == "missing" else value
+        change = (fix.table, fix.key, value, reasons.get(fix.key, first))
+        if value is not None and change not in changes:
+            changes.append(change)
+    missing = error.where.columns if error.columns and error.where is not None else ()
+    for key, value in document["data"].items():
+        names = [name for name in missing if toml_value(name) in toml_value(value)]
+        if names and key in fresh.get("data", {}) and key not in ("file", "missing"):
             reason = ", ".join(f"instead of '{name}', which is not in the file" for name in names)
-            changes.append(("data", key, tomllib.loads(f"value = {text}")["value"], reason))
+            changes.append(("data", key, fresh["data"][key], reason))
     return changes
-
-
-def _similar_name(name: str, columns: Sequence[str]) -> str | None:
-    """The most probable column: equal apart from unit, character width and case, of the same kind, or nearly equal."""
-    names = {plain(column): column for column in columns}
-    if plain(name) in names:
-        return names[plain(name)]
-    kind = kind_of_name(name)
-    same = [column for column in columns if kind_of_name(column) == kind] if kind[0] != "other" else []
-    near = [names[one] for one in difflib.get_close_matches(plain(name), list(names), n=1)]
-    return next(iter([*same, *near]), None)

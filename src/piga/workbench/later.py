@@ -18,9 +18,9 @@ from starlette.routing import Route
 from piga.certificate.certificate_file import missing_items, read_certificate_file
 from piga.certificate.page import is_draft
 from piga.data import example_files
-from piga.describe.draft import places_of
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import Instrument
+from piga.keys import places_of
 from piga.reports import page_html
 from piga.reports.stand import constant_input_page
 from piga.text_files import toml_document, toml_text, toml_value
