@@ -45,40 +45,6 @@ def test_times_without_decimals_give_the_rate_of_the_samples(tmp_path: Path) -> 
     assert try_run_file(draft, tmp_path / "run.toml").labels == tuple("123456")
 
 
-def test_moves_of_a_head_are_left_out(tmp_path: Path) -> None:
-    d = foreign.truth()
-    body, now = [], 0
-    for k, (n, angle) in enumerate(zip(d["counts"], d["angle"], strict=True)):
-        body.append(f"{now / 10:.1f},{n},{angle:.4f}")
-        now += 1
-        if k + 1 < d["t"].size and d["angle"][k + 1] != angle:
-            steps = np.linspace(angle, d["angle"][k + 1], 51)[1:-1]
-            body += [f"{(now + j) / 10:.1f},{n},{x:.4f}" for j, x in enumerate(steps)]
-            now += steps.size
-    foreign.text(tmp_path / "head.csv", "time [s],counts,table angle [deg]", body)
-    draft = draft_run_file(describe_log(tmp_path / "head.csv"), SCALE | {"stand.latitude": "48 deg"})
-    assert draft.open == []
-    assert draft.document["instrument"]["counts_per_revolution"] == 72000
-    positions = [float(text.removesuffix(" deg")) for text in draft.document["stand"]["positions"]]
-    assert np.abs(np.array(positions) - foreign.ANGLES).max() < 1e-3
-    assert draft.document["data"]["segment"] == {"holds_of": "table angle"}
-    run = try_run_file(draft, tmp_path / "run.toml")
-    assert len(run.labels) == 6
-    assert 0.97 * d["t"].size < run.size <= d["t"].size
-    assert "moving" in {event.kind for event in run.quality.events}
-
-
-def test_pulses_of_each_sample_are_summed(tmp_path: Path) -> None:
-    pulses = np.diff(foreign.truth()["counts"], prepend=0)
-    foreign.text(tmp_path / "x.csv", foreign.NAMES, foreign.changed(1, lambda k, _: str(pulses[k])))
-    draft = draft_run_file(describe_log(tmp_path / "x.csv"), SCALE)
-    assert draft.open == []
-    assert draft.document["data"]["output"]["kind"] == "pulses"
-    assert draft.document["instrument"]["counts_per_revolution"] == 72000
-    run = try_run_file(draft, tmp_path / "run.toml")
-    assert np.abs(np.diff(run.output)).sum() > 1.0
-
-
 def test_a_falling_output_is_turned_round(tmp_path: Path) -> None:
     body = foreign.changed(1, lambda _, n: str(-int(n)))
     foreign.text(tmp_path / "x.csv", foreign.NAMES, body)

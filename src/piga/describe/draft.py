@@ -44,15 +44,19 @@ class Question:
     example: str
 
 
-_HEIGHT = Question("stand.height", "height of the laboratory above sea level (if you know it)", "320 m")
-_LATITUDE = Question("stand.latitude", "latitude of the laboratory", "40 deg")
-_RADIUS = Question("stand.radius", "radius of the centrifuge at the instrument", "1 m")
-_OUTPUT = Question("data.output", "column of the output", '{ column = "n", kind = "counts" }')
-_SAMPLE_RATE = Question("data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz")
 _FORCE = '{ columns = ["fx", "fy", "fz"], unit = "g" }'
-_REFERENCE = Question("data.reference", "columns of the specific force along X0, Y0 and Z0", _FORCE)
-_COUNTS = "instrument.counts_per_revolution"
-_PER_TURN = Question(_COUNTS, "counts of the output per revolution of the outer gimbal", "72000")
+_ASKED = (
+    Question("instrument.scale_factor", "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"),
+    Question("instrument.counts_per_revolution", "counts of the output per revolution of the outer gimbal", "72000"),
+    Question("data.output", "column of the output", '{ column = "n", kind = "counts" }'),
+    Question("data.sample_rate", "rate of the samples, since no column holds the time", "20 Hz"),
+    Question("data.reference", "columns of the specific force along X0, Y0 and Z0", _FORCE),
+    Question("stand.latitude", "latitude of the laboratory", "40 deg"),
+    Question("stand.height", "height of the laboratory above sea level (if you know it)", "320 m"),
+    Question("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
+)  # fmt: skip
+QUESTIONS = {one.key: one for one in _ASKED}
+"""Values that no log need hold, by key of the run file."""
 
 
 @dataclass
@@ -137,28 +141,25 @@ class RunFileDraft:
     def ask(self) -> None:
         """Ask all questions that are still open."""
         own, data, stand = self.document["instrument"], self.document["data"], self.document.get("stand")
-        counted = isinstance(data.get("output"), Mapping) and data["output"].get("kind") in COUNTED
-        words, example = "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"
-        if own.get("kind") == "direct" and "output" in data:
-            words, example = (
-                "nominal scale factor: its output for 1 g",
-                f"1.3 {data['output'].get('unit', 'V')}/g",
-            )
-        scale = Question("instrument.scale_factor", words, example)
-        per_turn = counted and "scale_factor" in own and "counts_per_revolution" not in own
+        output = data.get("output")
+        counted = isinstance(output, Mapping) and output.get("kind") in COUNTED and "scale_factor" in own
+        asked = QUESTIONS
+        if own.get("kind") == "direct" and isinstance(output, Mapping):
+            words, example = "nominal scale factor: its output for 1 g", f"1.3 {output.get('unit', 'V')}/g"
+            asked = asked | {"instrument.scale_factor": Question("instrument.scale_factor", words, example)}
         at = {} if stand is None else stand
-        missing = (
-            (_OUTPUT, "output" not in data),
-            (_SAMPLE_RATE, not {"time", "sample_rate"} & {*data}),
-            (scale, "scale_factor" not in own),
-            (_PER_TURN, per_turn),
-            (_LATITUDE, stand is not None and "latitude" not in at),
-            (_RADIUS, at.get("kind") == "centrifuge" and "radius" not in at),
-            (_REFERENCE, stand is None and "reference" not in data),
-        )
-        self.open = [question for question, is_open in missing if is_open]
+        missing = {
+            "data.output": "output" not in data,
+            "data.sample_rate": not {"time", "sample_rate"} & {*data},
+            "instrument.scale_factor": "scale_factor" not in own,
+            "instrument.counts_per_revolution": counted and "counts_per_revolution" not in own,
+            "stand.latitude": stand is not None and "latitude" not in at,
+            "stand.radius": at.get("kind") == "centrifuge" and "radius" not in at,
+            "data.reference": stand is None and "reference" not in data,
+        }
+        self.open = [asked[key] for key, is_open in missing.items() if is_open]
         if stand is not None and not {"height", "gravity"} & {*stand}:
-            self.optional = [_HEIGHT]
+            self.optional = [asked["stand.height"]]
             self.comments.setdefault("stand.kind", []).append(HEIGHT)
 
 

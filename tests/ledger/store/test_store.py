@@ -228,17 +228,6 @@ def test_restore_gives_the_same_head(tmp_path: Path) -> None:
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
-def test_damage_is_not_exported(tmp_path: Path) -> None:
-    path = tmp_path / "a.sqlite"
-    filled(path, 2).close()
-    raw = path.read_bytes()
-    at = raw.index(b"A. Meyer")
-    path.write_bytes(raw[:at] + b"B" + raw[at + 1 :])
-    with open_store(path) as store, pytest.raises(StoreError, match="was altered"):
-        export_records(store, tmp_path / "b.zip")
-    assert [one.name for one in tmp_path.iterdir()] == ["a.sqlite"]
-
-
 @pytest.mark.parametrize("change", ["PRAGMA user_version=2", "PRAGMA application_id=1"])
 def test_altered_marks_are_found(tmp_path: Path, change: str) -> None:
     filled(tmp_path / "a.sqlite", 1).close()
