@@ -115,45 +115,8 @@ def rk4(t, f, K, tan_beta, alpha0, parts, alpha):
         alpha[k + 1] = x
 
 
-def jax_scan(fleet: list[Instrument], t: Array, f: Array) -> Callable[[], object] | None:
-    """The fleet by JAX: the same step in ``vmap`` of ``lax.scan``, float64; None without JAX."""
-    try:
-        import jax
-        import jax.numpy as jnp
-    except ImportError:
-        return None
-    jax.config.update("jax_enable_x64", True)
-
-    def one(K, tan_beta, alpha0):
-        a, y, z = K * f[:, 0], K * tan_beta * f[:, 1], K * tan_beta * f[:, 2]
-        h, pairs = jnp.diff(t), [(v[:-1], v[1:]) for v in (a, y, z)]
-        (a0, a1), (y0, y1), (z0, z1) = pairs
-        A = h / 2 * (a0 + a1) + h**2 / 12 * (y0 * z1 - z0 * y1)
-        Y = h / 2 * (y0 + y1) + h**2 / 12 * (a0 * z1 - z0 * a1)
-        Z = h / 2 * (z0 + z1) - h**2 / 12 * (a0 * y1 - y0 * a1)
-        x = (Y * Y + Z * Z - A * A) / 4
-        c = x * (1 / 2 + x * (1 / 24 + x * (1 / 720 + x / 40320)))
-        s = 0.5 * (1 + x * (1 / 6 + x * (1 / 120 + x * (1 / 5040 + x / 362880))))
-
-        def step(state, row):
-            turns, p, q = state
-            pp, pq, qp, qq = row
-            p1, q1 = p + (pp * p + pq * q), q + (qp * p + qq * q)
-            turned = q1 < 0
-            turns = turns + jnp.where(turned, jnp.where(p1 > 0, 1.0, -1.0), 0.0)
-            scale = jnp.where(turned, -1.0, 1.0) / jnp.sqrt(p1 * p1 + q1 * q1)
-            return (turns, p1 * scale, q1 * scale), 2 * jnp.pi * turns + 2 * jnp.arctan2(p1, q1)
-
-        start = (0.0, jnp.sin(alpha0 / 2), jnp.cos(alpha0 / 2))
-        return jax.lax.scan(step, start, (c + s * Y, s * (A - Z), -s * (A + Z), c - s * Y))[1]
-
-    run = jax.jit(jax.vmap(one))
-    motions = np.array([(i.scale_factor, i.tan_beta, i.alpha0) for i in fleet]).T
-    return lambda: run(*motions).block_until_ready()
-
-
 def motion(_: list[int]) -> tuple[str, Values]:
-    """Exact motion of a sample, beside Runge-Kutta and DOP853 of the same error, and JAX."""
+    """Exact motion of a sample, beside Runge-Kutta and DOP853 of the same error."""
     n, values = 1_000_000, {}
     t, f = np.arange(n) * 1e-3, np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
     dv, alpha = f[1:] * 1e-3, np.empty(n)
@@ -169,9 +132,6 @@ def motion(_: list[int]) -> tuple[str, Values]:
     fleet, some = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(256)], 20_000
     own = seconds(lambda: propagate_fleet(fleet, t[:some], f[:some], between="linear"), 9)
     values["fleet of 256, angle"] = own / some / len(fleet) * 1e9
-    scan = jax_scan(fleet, t[:some], f[:some])
-    if scan:
-        values["JAX's scan over fleet"] = seconds(scan) / own
     values["constant stretch of 1e6 s, one step"] = (
         seconds(lambda: propagate_segments(INST, np.array([1e6]), np.array([[G0, 5 * G0, 0.0]])), 11) * 1e6
     )
