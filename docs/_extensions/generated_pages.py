@@ -27,7 +27,7 @@ from piga.cli.main import app as command_line
 from piga.compensation.sets import TriadFile
 from piga.gravity_norm import SetFile
 from piga.keys import words_of
-from piga.planning.plan_file import PlanTable
+from piga.planning.candidates import PlanTable
 from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import RunFile
 from piga.records.terms import TERM_WORDS, UNITS

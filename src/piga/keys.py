@@ -24,7 +24,7 @@ from piga.text_files import si_unit, structs_in
 FILES: dict[str, tuple[str, str, str]] = {
     "run": ("run file", "piga.records.run_file", "RunFile"),
     "scenario": ("scenario", "piga.stand.scenario", "ScenarioTable"),
-    "plan": ("plan", "piga.planning.plan_file", "PlanTable"),
+    "plan": ("plan", "piga.planning.candidates", "PlanTable"),
     "platform": ("platform scenario", "piga.platform.scenario", "ScenarioFile"),
     "campaign": ("campaign file", "piga.campaign.campaign_file", "CampaignFile"),
     "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),

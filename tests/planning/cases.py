@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from piga.planning.plan_file import PlanRequest, read_plan
+from piga.planning.candidates import PlanRequest, read_plan
 
 HEAD = """
 [instrument]

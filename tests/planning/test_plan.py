@@ -19,13 +19,12 @@ from piga.cli.main import app
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError
 from piga.planning.candidates import (
     Visit,
-    coefficient_names,
     find_candidates,
     information_tables,
     predict,
+    read_plan,
 )
 from piga.planning.plan import Plan, plan_document, plan_mounting, plan_test, scenario_text
-from piga.planning.plan_file import read_plan
 from piga.planning.search import Criterion, best_mixture
 from piga.stand import Scenario, read_scenario, run_scenario
 from tests.chance import assert_variance
@@ -93,6 +92,14 @@ def test_slope_of_the_criterion_is_its_derivative():
         assert np.sum(criterion.sensitivity(a) * a) == pytest.approx(1.0, rel=1e-9)
 
 
+def test_a_singular_plan_has_a_finite_value():
+    """A long test of one position: its information is large in one direction, and none in the others."""
+    one = np.outer([4096.0, 2048.0, 1024.0], [4096.0, 2048.0, 1024.0])
+    values = Criterion(np.eye(3), 0.0).values(np.array([one, one + np.eye(3)]))
+    assert np.isfinite(values).all()
+    assert values[0] > values[1]
+
+
 SERVO = {
     "terms": '"scale_factor", "tan_beta", "k0", "servo", "servo_damping"',
     "positions": "5:365:60 deg",
@@ -126,7 +133,7 @@ def test_tables_agree_with_the_estimator(tmp_path, made, changes):
     tables = information_tables(wish, places, np.array([30.0, 60.0]))
     prediction = predict(wish, "x", tuple(Visit(c, 60.0) for c in places))
     std = np.sqrt(np.diag(np.linalg.inv(tables[:, -1].sum(axis=0))))
-    for name, value in zip(coefficient_names(wish), std, strict=True):
+    for name, value in zip(wish.names, std, strict=True):
         assert prediction.std(name) == pytest.approx(value, rel=0.02), name
 
 
@@ -137,12 +144,11 @@ def test_no_standard_plan_is_better(tmp_path, criterion):
     plan = plan_test(request(tmp_path, plan=f'criterion = "{criterion}"\n{extra}'))
     size = {
         "D": lambda p: math.exp(np.linalg.slogdet(p.covariance * 1e12)[1]),
-        "A": lambda p: sum((p.std(name) / plan.best.std(name)) ** 2 for name in plan.names),
+        "A": lambda p: sum((p.std(name) / plan.best.std(name)) ** 2 for name in plan.request.names),
         "c": lambda p: p.std("k0"),
         "wanted": lambda p: max(p.std("k0") / 1e-6, p.std("m_Y") / 1e-6),
     }[criterion]
     assert size(plan.best) <= min(1.02 * size(other) for other in plan.standard if not other.refusal)
-    assert plan.largest_derivative == pytest.approx(6.0 if criterion == "D" else 1.0, rel=5e-3)
     assert plan.best.duration <= 720.0 + 1e-9
     assert 0.5 < plan.efficiency <= 1.0
 
@@ -160,7 +166,7 @@ def test_no_plan_is_recommended_that_the_calibration_refuses(tmp_path):
     path.write_text(scenario_text(plan), encoding="utf-8")
     calibration = piga.calibrate(simulated(read_scenario(path), 2), list(wish.model.terms))
     for name in ("scale_factor", "k0"):
-        assert plan.best.degrees(name) == pytest.approx(calibration[name].degrees_of_freedom, rel=0.3)
+        assert plan.best.uncertainty(name)[2] == pytest.approx(calibration[name].degrees_of_freedom, rel=0.3)
         assert plan.best.expanded(name) > 1.99 * plan.best.std(name)
 
 
@@ -171,8 +177,6 @@ def test_what_cannot_be_planned_is_refused(tmp_path):
         plan_test(request(tmp_path, walk=0))
     with pytest.raises(CalibrationError, match="lock zone"):
         plan_test(request(tmp_path, plan="margin = 1e9", positions="30:60:10 deg"))
-    with pytest.raises(CalibrationError, match="duration is below minimum_dwell"):
-        plan_test(request(tmp_path, duration=10))
 
 
 @pytest.mark.long
@@ -238,9 +242,11 @@ def test_prediction_is_what_repeats_show(tmp_path):
         run = simulated(scenario, seed)
         fit = fit_run(run, make_request(run, list(wish.model.terms), phases=wish.model.phases))
         named, _ = fit.runs.named(fit.estimate, fit.estimate.covariance)
-        values.append([c.value for name in plan.names if name != "phi" for c in named if c.name == name])
+        values.append(
+            [c.value for name in plan.request.names if name != "phi" for c in named if c.name == name]
+        )
     spread = np.std(values, axis=0, ddof=1)
-    for name, s in zip([n for n in plan.names if n != "phi"], spread, strict=True):
+    for name, s in zip([n for n in plan.request.names if n != "phi"], spread, strict=True):
         assert_variance((s / plan.best.std(name)) ** 2, REPEATS - 1, name)
 
 
@@ -309,7 +315,6 @@ def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None
     assert plan.best.std("scale_factor") == pytest.approx(mean, rel=0.01)
     assert plan.best.std("k0") == pytest.approx(mean / gravity, rel=0.01)
     assert 0.9 < plan.efficiency <= 1.0
-    assert plan.largest_derivative == pytest.approx(2.0, rel=5e-3)
     assert plan.standard[-1].std("k0") >= plan.best.std("k0")
 
 
@@ -317,13 +322,12 @@ def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None
 def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
     cheapest, document = plan.cheapest, plan_document(plan, None)
     assert cheapest is not None
-    assert cheapest.plan is not None
-    assert cheapest.plan.std("k0") <= 2e-6
-    assert cheapest.bound <= cheapest.plan.duration < plan.best.duration
+    assert cheapest.std("k0") <= 2e-6
+    assert plan.shortest <= cheapest.duration < plan.best.duration
     assert json.loads(json.dumps(document, allow_nan=False)) == document
-    assert document["cheapest"]["duration_s"] == cheapest.plan.duration
+    assert document["cheapest"]["duration_s"] == cheapest.duration
     planned = document["planned"]["standard_uncertainty"]["k0"]
-    degrees = plan.best.degrees("k0")
+    degrees = plan.best.uncertainty("k0")[2]
     assert degrees == pytest.approx(len(plan.best.visits) - 2, rel=0.02)  # two means of equal visits
     assert planned == {
         "type_a": plan.best.std("k0"),
@@ -351,7 +355,6 @@ def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     )
     plan = plan_test(wish)
     assert plan.cheapest is not None
-    assert plan.cheapest.plan is None
     assert "the stand alone adds" in plan.cheapest.refusal
     both = math.hypot(plan.best.std("scale_factor"), 0.8884e-6)
     assert plan.best.combined("scale_factor") == pytest.approx(both, rel=1e-3)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import piga
+from piga.planning.candidates import read_plan
 from piga.planning.plan import Plan, plan_document, plan_test, program_csv, scenario_text
-from piga.planning.plan_file import read_plan
 from piga.reports.planning import page
 from piga.reports.render.page import page_html
 
@@ -59,7 +59,7 @@ def test_uncertainties_are_those_of_means_of_the_visits(plan: Plan) -> None:
     slope = 0.1**-2 / (n * (n**2 - 1.0))  # of a line through counts with a variance of 1/12
     variance = slope if plan.request.unit == "count/s" else 1e-6**2 / dwell
     expected = np.sqrt(np.diag(np.linalg.inv(columns.T @ (columns / variance[:, None]))))
-    assert [plan.best.std(name) for name in plan.names] == pytest.approx(expected, rel=0.02)
+    assert [plan.best.std(name) for name in plan.request.names] == pytest.approx(expected, rel=0.02)
     assert all(visit.candidate.margin == visit.candidate.revolution == np.inf for visit in plan.best.visits)
     assert plan.request.wanted["scale_factor"] == pytest.approx(wanted, rel=1e-12)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,9 +19,10 @@ from piga.planning.candidates import (
     find_candidates,
     information_tables,
     predict,
+    read_plan,
+    request_of,
 )
 from piga.planning.plan import plan_mounting
-from piga.planning.plan_file import read_plan, request_of
 from piga.planning.search import Criterion, in_order, whole_pairs
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
@@ -50,6 +50,7 @@ from tests.planning.test_plan import mounting_request
         ("[plan]", '[plan]\nlongest_dwell = "3 s"', "longest_dwell is below minimum_dwell"),
         ('"k2"', '"k0_t"', "'k0_t' depends on when"),
         ('duration = "720 s"', 'duration = "-5 s"', "duration: -5 s is not positive"),
+        ('duration = "720 s"', 'duration = "10 s"', "duration is below minimum_dwell twice"),
     ],
 )  # fmt: skip
 def test_plans_that_are_none(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -96,7 +97,7 @@ def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
 def test_positions_are_shuffled_unless_the_order_of_the_stand_is_asked_for(tmp_path: Path, count: int) -> None:
     """Neither the order of the stand nor its reverse: few visits are neighbours of the one before."""
     wish = request(tmp_path)
-    (table,) = wish.stands
+    (table,) = wish.table.stands
     places = [msgspec.structs.replace(table, positions=(f"{360.0 * k / count!r} deg",)) for k in range(count)]
     visits = tuple(Visit(candidate_of(wish, str(k), table), 60.0) for k, table in enumerate(places))
     assert in_order(request(tmp_path, plan="shuffle = false"), visits) == visits
@@ -121,16 +122,6 @@ def test_many_candidates_are_simulated_in_several_records(
     assert std[0] == pytest.approx(std[1], rel=0.02)
 
 
-def test_the_search_needs_memory_for_one_exchange() -> None:
-    rows = np.random.default_rng(1).normal(size=(90, 3))
-    matrices = np.einsum("ni,nj->nij", rows, rows)
-    tracemalloc.start()
-    whole_pairs(matrices, Criterion(np.eye(3), 0.0), np.full(90, 1.0 / 90.0), 60)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 20 * matrices.nbytes
-
-
 @pytest.mark.long
 def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> None:
     """Twelve positions with 3600 counts a turn. Two nearly stand: their rounding is neither white nor a walk.
@@ -148,12 +139,12 @@ def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> N
     text = path.read_text(encoding="utf-8").replace('output = "angle"', 'output = "counts"')
     path.write_text(text.replace("[truth]", "counts_per_revolution = 3600\n[truth]"), encoding="utf-8")
     wish = read_plan(path)
-    (stand,) = wish.stands
+    (stand,) = wish.table.stands
     angles = [f"{30 * k} deg" for k in range(12)]
     tables = [msgspec.structs.replace(stand, positions=(angle,)) for angle in angles]
     visits = tuple(Visit(candidate_of(wish, str(k), table), 275.0) for k, table in enumerate(tables))
     predicted = predict(wish, "few", visits)
-    motion = Composite(tuple(visit.candidate.stand(visit.dwell, wish) for visit in visits), wish.move)
+    motion = Composite(tuple(visit.table.build(wish.path.parent) for visit in visits), wish.move)
     stated, errors, truth = [], [], np.array([c.value for c in predicted.coefficients])
     for seed in range(12):
         run = simulate_test(motion, wish.scenario.specimen, wish.scenario.electronics, seed=seed).to_run()

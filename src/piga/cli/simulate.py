@@ -43,8 +43,8 @@ def plan(
 
     Writes plan.json, report.html, program.csv for the stand, and scenario.toml for 'piga simulate'.
     """
+    from piga.planning.candidates import read_plan
     from piga.planning.plan import plan_document, plan_mounting, plan_test, program_csv, scenario_text
-    from piga.planning.plan_file import read_plan
     from piga.reports.planning import page
 
     inputs = files_named_in(plan_file)

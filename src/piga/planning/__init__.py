@@ -5,9 +5,8 @@
 'D'
 """
 
-from piga.planning.candidates import Candidate, Prediction, Visit, predict
+from piga.planning.candidates import Candidate, PlanRequest, PlanSettings, Prediction, Visit, predict, read_plan
 from piga.planning.plan import Mounting, Plan, plan_document, plan_mounting, plan_test, scenario_text
-from piga.planning.plan_file import PlanRequest, PlanSettings, read_plan
 
 __all__ = [
     "Candidate",

@@ -2,14 +2,12 @@
 
 A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The search finds pairs of
 visits (:mod:`piga.planning.search`). The least value of any mixture of visits per second of test is a lower bound for every test.
-The reported uncertainties are predicted by the estimator on the noiseless record of the exported test. The export is a scenario
-for ``piga simulate`` and one JSON document.
+The estimator predicts the reported uncertainties from the noiseless record of the test.
 
 The mounting question: which skew keeps the instrument out of the lock zone over a profile. With ``u = K f - Omega``
-the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. Turning the instrument by a skew ``sigma`` towards
-the direction at ``clock`` about the platform's X axis makes ``u_x = u . (cos sigma, sin sigma cos clock, sin sigma
-sin clock)``; the margin of a mounting is the least ``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1
-(own formulation).
+the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. A skew ``sigma`` towards the direction at ``clock`` about the
+platform's X axis makes ``u_x = u . (cos sigma, sin sigma cos clock, sin sigma sin clock)``; the margin of a mounting is the least
+``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1 (own formulation).
 """
 
 from __future__ import annotations
@@ -18,7 +16,8 @@ import csv
 import io
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -27,17 +26,15 @@ from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError
 from piga.planning.candidates import (
     Candidate,
+    PlanRequest,
     Prediction,
     Visit,
     candidate_of,
-    coefficient_names,
     find_candidates,
     predict,
     stand_table,
-    whole_samples,
 )
-from piga.planning.plan_file import PlanRequest
-from piga.planning.search import CheapestTest, Search, in_order
+from piga.planning.search import Search, in_order
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
 from piga.results import Array, Plotted, Reported, Result, finite
@@ -49,10 +46,6 @@ from piga.threads import one_thread
 from piga.units import G0
 from piga.upper import doors
 
-if TYPE_CHECKING:
-    from types import ModuleType
-
-
 _STANDARD = (4, 6, 12, 24)
 """Numbers of evenly spaced positions in the standard plans."""
 
@@ -63,33 +56,25 @@ class Plan(Reported, Plotted, Result):
 
     ``plot()`` shows chosen positions and the time in each: two panels.
 
-    ``largest_derivative`` belongs to the mixture that gives the bound (at its optimum the number of coefficients for D, else 1).
-    ``efficiency`` is the ratio of variances between the bound and the plan, at most 1.
+    ``usable`` candidates keep the margin from the lock zone. ``efficiency`` is the ratio of variances between the lower bound and
+    the plan, at most 1. ``cheapest`` is the shortest test found that reaches the wanted uncertainties; no test of these
+    candidates is shorter than ``shortest`` [s].
     """
 
     request: PlanRequest
     candidates: tuple[Candidate, ...]
-    largest_derivative: float
+    usable: tuple[Candidate, ...]
     efficiency: float
     best: Prediction
     standard: tuple[Prediction, ...]
-    cheapest: CheapestTest | None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Coefficients common to all positions."""
-        return coefficient_names(self.request)
-
-    @property
-    def usable(self) -> tuple[Candidate, ...]:
-        """Candidates that keep the margin from the lock zone."""
-        return tuple(c for c in self.candidates if not c.margin < self.request.settings.margin)
+    cheapest: Prediction | None = None
+    shortest: float = 0.0
 
     @property
     def excluded(self) -> tuple[tuple[Candidate, str], ...]:
         """Candidates in the lock zone or near it, each with the reason."""
-        limit, left_out = self.request.settings.margin, []
-        for candidate in (c for c in self.candidates if c.margin < self.request.settings.margin):
+        limit, left_out = self.request.table.plan.margin, []
+        for candidate in (c for c in self.candidates if c not in self.usable):
             word = "locked" if candidate.margin < 1.0 else f"within {limit:g} times the lock zone"
             left_out.append((candidate, f"{word}: |a_x| is {candidate.margin:.2g} of a_t tan(beta)"))
         return tuple(left_out)
@@ -110,55 +95,40 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     IdentifiabilityError
         If no plan of these candidates can separate the terms.
     CalibrationError
-        If the time is too short, or every candidate is in the lock zone.
+        If every candidate is in the lock zone.
     """
     steps = Steps(progress, 4)
     steps("listing positions")
-    candidates = find_candidates(request)
-    usable = tuple(c for c in candidates if not c.margin < request.settings.margin)
-    _check(request, usable)
+    candidates, margin = find_candidates(request), request.table.plan.margin
+    usable = tuple(c for c in candidates if not c.margin < margin)
+    if not usable:
+        raise CalibrationError(
+            f"every position is within {margin:g} times the lock zone",
+            remedy="add positions with a larger a_x, or lower [plan] margin",
+        )
     steps("information of each position")
     search = Search.of(request, usable)
     steps("standard plans")
     standard = _standard(request, usable)
     steps("choosing visits")
     best, value = search.best(standard)
-    criterion, (_, bound, derivative) = search.criterion, search.mixture
-    bound -= math.log(request.duration + request.move)
+    bound = search.mixture[1] - math.log(request.duration + request.move)
+    shortest, cheapest = search.cheapest(best) if request.wanted else (0.0, None)
     return Plan(
         request=request,
         candidates=candidates,
-        largest_derivative=derivative * (criterion.rows.shape[0] if criterion.power == 0.0 else 1),
+        usable=usable,
         efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        cheapest=search.cheapest(best) if request.wanted else None,
+        cheapest=cheapest,
+        shortest=shortest,
     )
-
-
-def _check(request: PlanRequest, usable: tuple[Candidate, ...]) -> None:
-    """Refuse a request that cannot be planned."""
-    if not usable:
-        raise CalibrationError(
-            f"every position is within {request.settings.margin:g} times the lock zone",
-            remedy="add positions with a larger a_x, or lower [plan] margin",
-        )
-    if request.duration < 2.0 * request.minimum_dwell + request.move:
-        raise CalibrationError(
-            "[plan] duration is below minimum_dwell twice with a move between: each position is visited twice",
-            remedy="give it more time",
-        )
-    interval = request.scenario.electronics.interval
-    if abs(request.move / interval - round(request.move / interval)) > 1e-6:
-        raise CalibrationError(
-            f"the move time {request.move:g} s is not a multiple of the sample interval {interval:g} s",
-            remedy="change it, or sample_rate",
-        )
 
 
 def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
     """Standard plans that fit the time: evenly spaced positions, or equal time on all without a dividing head."""
-    head = next((stand for stand in request.stands if isinstance(stand, DividingHeadTable)), None)
+    head = next((stand for stand in request.table.stands if isinstance(stand, DividingHeadTable)), None)
     places = {"all levels": usable}
     if head is not None:
         places = {
@@ -170,7 +140,7 @@ def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Pred
         }
     plans = []
     for name, chosen in places.items():
-        dwell = whole_samples(request, (request.duration + request.move) / len(chosen) - request.move)
+        dwell = request.whole_samples((request.duration + request.move) / len(chosen) - request.move)
         if dwell > 0.0:
             visits = in_order(request, tuple(Visit(candidate, dwell) for candidate in chosen))
             plans.append(predict(request, name, visits))
@@ -241,33 +211,28 @@ def plan_mounting(request: PlanRequest) -> Mounting | None:
         np.array(angles_of_range(getattr(table, name), f"[mounting] {name}", "0:91:1 deg"))
         for name in ("skew", "clock")
     )
-    margins = np.array([_ratios(u, _axes(skew, clocks), tangent).min(axis=0) for skew in skews.tolist()])
+    margins = np.array([_ratios(u, skew, clocks, tangent).min(axis=0) for skew in skews.tolist()])
     at, towards = np.unravel_index(np.argmax(margins), margins.shape)
-    skew, clock = float(skews[at]), float(clocks[towards])
+    skew, clock = float(skews[at]), clocks[towards : towards + 1]
     return Mounting(
         skews=skews,
         margins=margins,
         limit=table.margin,
         skew=skew,
-        clock=clock,
+        clock=float(clock[0]),
         t=t,
-        margin_history=_ratios(u, _axes(skew, np.array([clock])), tangent)[:, 0],
-        unskewed_history=_ratios(u, np.array([[1.0], [0.0], [0.0]]), tangent)[:, 0],
+        margin_history=_ratios(u, skew, clock, tangent)[:, 0],
+        unskewed_history=_ratios(u, 0.0, clock, tangent)[:, 0],
     )
 
 
-def _axes(skew: float, clocks: Array) -> Array:
-    """Input axes in platform axes for one skew, (3, clocks)."""
-    s = math.sin(skew)
-    return np.array([np.full(clocks.size, math.cos(skew)), s * np.cos(clocks), s * np.sin(clocks)])
-
-
-def _ratios(u: Array, axes: Array, tangent: float) -> Array:
-    """``|u_x|/(u_t tan(beta))`` per row and axis; infinite without transverse input.
+def _ratios(u: Array, skew: float, clocks: Array, tangent: float) -> Array:
+    """``|u_x|/(u_t tan(beta))`` per row and direction of the skew; infinite without transverse input.
 
     0 if ``u_x`` changed its sign since the previous row: the profile crossed the lock zone.
     """
-    signed = u @ axes
+    across_x = math.sin(skew) * np.array([np.cos(clocks), np.sin(clocks)])
+    signed = u @ np.vstack([np.full(clocks.size, math.cos(skew)), across_x])
     along = np.abs(signed)
     across = np.sqrt(np.maximum(np.sum(u * u, axis=1)[:, None] - along**2, 0.0)) * tangent
     ratios = np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
@@ -320,7 +285,7 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
     best = plan.best
     document: dict[str, Any] = {
         "schema": "piga.plan/1",
-        "criterion": plan.request.settings.criterion,
+        "criterion": plan.request.table.plan.criterion,
         "duration_s": best.duration,
         "recorded_s": best.recorded,
         "visits": [
@@ -329,19 +294,20 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
             for v in best.visits
         ],
         "excluded": [{"position": one.label, "reason": reason} for one, reason in plan.excluded],
-        "largest_derivative": plan.largest_derivative,
         "efficiency": plan.efficiency,
         "planned": _prediction_document(plan, best),
         "standard": [_prediction_document(plan, p) for p in plan.standard],
         "software": f"piga {__version__}",
     }
     if plan.cheapest is not None:
-        found, bound = plan.cheapest.plan, finite(plan.cheapest.bound)
-        told: dict[str, Any] = {"refusal": plan.cheapest.refusal}
-        if found is not None:
-            visits = [{"position": v.candidate.label, "dwell_s": v.dwell} for v in found.visits]
-            told = {"duration_s": found.duration, "visits": visits}
-        document["cheapest"] = {"wanted": plan.request.wanted, "bound_s": bound} | told
+        visits = [{"position": v.candidate.label, "dwell_s": v.dwell} for v in plan.cheapest.visits]
+        told = {"duration_s": plan.cheapest.duration, "visits": visits}
+        refused = {"refusal": plan.cheapest.refusal}
+        document["cheapest"] = {
+            "wanted": plan.request.wanted,
+            "bound_s": finite(plan.shortest),
+            **(refused if plan.cheapest.refusal else told),
+        }
     if mounting is not None:
         document["mounting"] = {
             "skew_deg": math.degrees(mounting.skew),
@@ -367,9 +333,9 @@ def _prediction_document(plan: Plan, prediction: Prediction) -> dict[str, Any]:
             "type_a": prediction.std(name),
             "combined": prediction.combined(name),
             "expanded": finite(prediction.expanded(name)),
-            "degrees_of_freedom": finite(prediction.degrees(name)),
+            "degrees_of_freedom": finite(prediction.uncertainty(name)[2]),
             "unit": unit_of(name, plan.request.unit),
         }
-        for name in plan.names
+        for name in plan.request.names
     }
     return entry

@@ -9,15 +9,13 @@ equivalence theorem reads: a mixture is optimal if and only if no candidate has
 equals the number r of parameters.
 
 A test has visits in pairs: the calibration refuses a position that alone determines a coefficient, and two visits show its
-scatter. All dwells are equal, but for whole revolutions. For each number of pairs the best mixture
-is rounded to whole pairs,
+scatter. All dwells are equal, but for whole revolutions. For each number of pairs the best mixture is rounded to whole pairs,
 and pairs are exchanged as long as the criterion falls.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -26,16 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import IdentifiabilityError
-from piga.planning.candidates import (
-    Candidate,
-    Prediction,
-    Visit,
-    coefficient_names,
-    information_tables,
-    predict,
-    whole_samples,
-)
-from piga.planning.plan_file import PlanRequest
+from piga.planning.candidates import Candidate, PlanRequest, Prediction, Visit, information_tables, predict
 from piga.records.terms import unit_of
 from piga.results import Array
 
@@ -51,6 +40,8 @@ _MIXED = 1e-6
 """Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
 _RIDGE = 1e-13
 """Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
+_ROUNDING = 1e-14
+"""Least share of that in the trace, so that rounding does not swallow it."""
 _GUARD = 0.1
 """Share of the D-criterion of all parameters in a guarded criterion."""
 _WANTED_POWER = 64.0
@@ -80,10 +71,6 @@ class Criterion:
     rows: Array
     power: float
     guard: float = 0.0
-
-    def guarded(self) -> Criterion:
-        """The criterion with the guard, if the rows do not cover all parameters."""
-        return replace(self, guard=_GUARD if self.rows.shape[0] < self.rows.shape[1] else 0.0)
 
     def _parts(self) -> list[tuple[float, Array, float]]:
         """Share, rows and power of each part."""
@@ -121,7 +108,10 @@ class Criterion:
 
 
 def _covariance(information: Array) -> Array:
-    return np.asarray(np.linalg.inv(information + _RIDGE * np.eye(information.shape[-1])), dtype=np.float64)
+    """Inverse of information matrices (..., m, m); that of a singular one is large and finite."""
+    ridge = np.maximum(_RIDGE, _ROUNDING * np.trace(information, axis1=-2, axis2=-1))
+    added = ridge[..., None, None] * np.eye(information.shape[-1])
+    return np.asarray(np.linalg.inv(information + added), dtype=np.float64)
 
 
 def best_mixture(candidates: Array, criterion: Criterion) -> tuple[Array, float, float]:
@@ -171,19 +161,6 @@ def whole_pairs(
 
 
 @dataclass(frozen=True)
-class CheapestTest:
-    """The shortest test found that reaches the wanted uncertainties.
-
-    ``bound`` [s] is a lower bound of the duration for these candidates and dwells. ``plan`` is None if the
-    uncertainty of the stand prevents it; ``refusal`` then names the uncertainty.
-    """
-
-    bound: float
-    plan: Prediction | None
-    refusal: str = ""
-
-
-@dataclass(frozen=True)
 class Search:
     """Information of a visit (n, d, m, m) at each usable candidate for the ``dwells`` (d,) [s], and the criterion.
 
@@ -202,12 +179,12 @@ class Search:
         """The tables of the usable candidates; refuses confounded terms."""
         longest = min(request.longest_dwell, request.duration)
         steps = np.geomspace(request.minimum_dwell, longest, _DWELLS)
-        dwells = np.unique([whole_samples(request, dwell) for dwell in steps])
+        dwells = np.unique([request.whole_samples(dwell) for dwell in steps])
         tables = information_tables(request, usable, dwells)
         equal = tables[:, -1].mean(axis=0)
         plain = 1.0 / np.sqrt(np.diag(equal))
         scale = np.sqrt(np.diag(np.linalg.inv(equal * np.outer(plain, plain)) * np.outer(plain, plain)))
-        criterion = _criterion(request, scale, request.settings.criterion, request.wanted)
+        criterion = _criterion(request, scale, request.table.plan.criterion, request.wanted)
         return cls(request, usable, dwells, tables * np.outer(scale, scale), scale, criterion)
 
     @cached_property
@@ -219,7 +196,7 @@ class Search:
 
     def value(self, prediction: Prediction) -> float:
         """The criterion of a predicted covariance; infinite if there is none."""
-        if prediction.covariance is None:
+        if prediction.refusal:
             return math.inf
         keep = [k for k, c in enumerate(prediction.coefficients) if c.segment is None]
         covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(self.scale, self.scale)
@@ -230,7 +207,7 @@ class Search:
         planned = self._test("planned", self.request.duration)
         value = self.value(planned)
         for prediction in standard:
-            other, margin = self.value(prediction), self.request.settings.margin
+            other, margin = self.value(prediction), self.request.table.plan.margin
             if other < value and all(visit.candidate.margin >= margin for visit in prediction.visits):
                 planned, value = replace(prediction, name="planned"), other
         if not math.isfinite(value):
@@ -239,15 +216,18 @@ class Search:
             )
         return planned, value
 
-    def cheapest(self, best: Prediction) -> CheapestTest:
-        """The shortest test that reaches the wanted standard uncertainties, including Type B of the stand."""
+    def cheapest(self, best: Prediction) -> tuple[float, Prediction]:
+        """Lower bound [s] of the duration of tests that reach the wanted standard uncertainties, and the shortest one found.
+
+        Type B of the stand is included. Its refusal says why there is none.
+        """
         request, targets = self.request, {}
         for name, wanted in request.wanted.items():
-            by_stand = best.by_stand(name)
+            by_stand = best.uncertainty(name)[1]
             if by_stand >= wanted:
                 added = f"{by_stand:.2g} {unit_of(name, request.unit)} to {name}"
                 refusal = f"the stand alone adds {added}: {wanted:.2g} cannot be reached in any time"
-                return CheapestTest(math.inf, None, refusal)
+                return math.inf, Prediction("cheapest", (), math.inf, refusal=refusal)
             targets[name] = math.sqrt(wanted**2 - by_stand**2)
         search = replace(self, criterion=_criterion(request, self.scale, "wanted", targets))
         bound = math.exp(search.mixture[1]) - request.move
@@ -256,37 +236,34 @@ class Search:
             plan = search._test("cheapest", duration)
             ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
             if ratio <= 1.0:
-                return CheapestTest(max(bound, 0.0), plan)
+                return max(bound, 0.0), plan
             duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
-        return CheapestTest(
-            bound, None, "no test was found that reaches it: add positions or allow longer dwells"
+        return bound, replace(
+            plan, refusal="no test was found that reaches it: add positions or allow longer dwells"
         )
 
     def _test(self, name: str, duration: float) -> Prediction:
-        """The best test of this duration [s] that the calibration does not refuse."""
-        for visits in self._tests(duration):
-            planned = predict(self.request, name, in_order(self.request, visits))
-            if not planned.refusal:
-                break
-        return planned
-
-    def _tests(self, duration: float) -> Iterator[tuple[Visit, ...]]:
-        """Visits of a test of this duration [s] for several numbers of pairs, the best first."""
-        request, found = self.request, []
+        """The best test of this duration [s] that the calibration does not refuse, of several numbers of pairs."""
+        request, found, (of_interest, every) = self.request, [], self.criterion.rows.shape
+        guarded = replace(self.criterion, guard=_GUARD if of_interest < every else 0.0)
         ends = [0.5 * (duration + request.move) / (dwell + request.move) for dwell in self.dwells[[-1, 0]]]
         for count in sorted({math.floor(x + 1e-9) for x in np.geomspace(max(ends[0], 1.0), ends[1], _NUMBERS)}):
             dwells = self._cut(min(0.5 * (duration + request.move) / count - request.move, self.dwells[-1]))
             pairs = 2.0 * self._information(dwells)
-            value, places = whole_pairs(pairs, self.criterion.guarded(), self.mixture[0], count)
+            value, places = whole_pairs(pairs, guarded, self.mixture[0], count)
             found.append((value, [(int(k), float(dwells[k])) for k in np.repeat(np.sort(places), 2)]))
         for _, visits in sorted(found):
-            yield tuple(Visit(self.usable[k], whole_samples(request, dwell)) for k, dwell in visits)
+            held = tuple(Visit(self.usable[k], request.whole_samples(dwell)) for k, dwell in visits)
+            planned = predict(request, name, in_order(request, held))
+            if not planned.refusal:
+                break
+        return planned
 
     def _cut(self, dwell: float) -> Array:
         """The dwell [s] at each candidate, cut to whole revolutions of the gimbal if that leaves the least dwell."""
         turns = np.array([min(candidate.revolution, 1e9) for candidate in self.usable])
         whole = np.floor(dwell / turns + 1e-9) * turns
-        usual = self.request.settings.whole_revolutions & (whole >= self.request.minimum_dwell)
+        usual = self.request.table.plan.whole_revolutions & (whole >= self.request.minimum_dwell)
         return np.where(usual, whole, dwell)
 
     def _information(self, dwells: Array) -> Array:
@@ -301,7 +278,7 @@ class Search:
 
 def _criterion(request: PlanRequest, scale: Array, kind: str, wanted: dict[str, float]) -> Criterion:
     """The criterion in scaled parameters."""
-    plan, names = request.settings, coefficient_names(request)
+    plan, names = request.table.plan, request.names
     rows = np.diag(scale)
     if kind == "c":
         return Criterion(np.array([[plan.combination.get(n, 0.0) for n in names]]) * scale, 1.0)
@@ -317,10 +294,9 @@ def in_order(request: PlanRequest, visits: tuple[Visit, ...]) -> tuple[Visit, ..
     """The visits of each stand in shuffled order, unless the plan asks for that of the stand.
 
     A slow change of the bias then moves no coefficient as a whole: the next position lies 0.38 of the test further on, as
-    near to the golden section as the number of visits allows. Where only neighbours have such a distance (4 and 6 visits), every
-    second visit comes first. The same plan has the same order.
+    near to the golden section as the number of visits allows. Of 4 and 6 visits, every second comes first.
     """
-    if not request.settings.shuffle:
+    if not request.table.plan.shuffle:
         return visits
     ordered: list[Visit] = []
     for _, group in groupby(visits, key=lambda visit: type(visit.candidate.table)):

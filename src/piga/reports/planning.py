@@ -11,7 +11,6 @@ import numpy as np
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
 from piga.planning.plan import Mounting, Plan
-from piga.planning.search import CheapestTest
 from piga.records.terms import meaning_of, shown_unit, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
@@ -84,7 +83,7 @@ _CRITERIA = {
 
 def page(plan: Plan, mounting: Mounting | None = None) -> Page:
     """The page of a planned test; ``mounting`` adds how to mount the instrument."""
-    lead = f"Least is {_CRITERIA[plan.request.settings.criterion]}."
+    lead = f"Least is {_CRITERIA[plan.request.table.plan.criterion]}."
     shown = [
         Section("The test", "the-test", (lead, partial(_dwell_figure, plan), _visit_table(plan))),
         Section("What it will give", "what-it-gives", (_uncertainty_table(plan),)),
@@ -117,7 +116,7 @@ def _tiles(plan: Plan) -> tuple[Tile, ...]:
     ]
     if plan.standard and not plan.standard[-1].refusal:
         reference = plan.standard[-1]
-        ratios = [best.std(name) / reference.std(name) for name in plan.names]
+        ratios = [best.std(name) / reference.std(name) for name in plan.request.names]
         gain = math.exp(sum(map(math.log, ratios)) / len(ratios)) if min(ratios) > 0.0 else 0.0
         unit, than = f"% {'smaller' if gain <= 1.0 else 'larger'}", f"than {reference.name}, geometric mean"
         number = f"{100.0 * abs(1.0 - gain):.0f}"
@@ -143,7 +142,7 @@ def _margin(candidate: Candidate) -> str:
 
 
 def _uncertainty_table(plan: Plan) -> Table:
-    shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.names]
+    shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.request.names]
     table = (
         TableOf(shown)
         .text("coefficient", lambda row: Cell(row[0], title=meaning_of(row[0])))
@@ -155,7 +154,7 @@ def _uncertainty_table(plan: Plan) -> Table:
         table.number(one.name, _over_planned(plan, one))
     notes = [f"{one.name}: {one.refusal}." for one in plan.standard if one.refusal]
     for one in plan.standard:
-        margin = plan.request.settings.margin
+        margin = plan.request.table.plan.margin
         near = [visit.candidate.label for visit in one.visits if visit.candidate.margin < margin]
         notes += [f"{one.name}: in or near the lock zone at {', '.join(near)}."] if near else []
     caption = "Predicted standard uncertainties; standard plans in the same total time, as multiples of the plan's Type A."
@@ -173,19 +172,19 @@ def _over_planned(plan: Plan, prediction: Prediction) -> Callable[[tuple[str, fl
     return cell
 
 
-def _cheapest(plan: Plan, cheapest: CheapestTest) -> Notice:
+def _cheapest(plan: Plan, cheapest: Prediction) -> Notice:
     shown = (
         (name, u, *shown_unit(name, unit_of(name, plan.request.unit)))
         for name, u in plan.request.wanted.items()
     )
     wanted = ", ".join(f"u({name}) = {short(u * scale)} {pretty_unit(unit)}" for name, u, scale, unit in shown)
-    if cheapest.plan is None:
+    if cheapest.refusal:
         return Notice("problem", f"Wanted {wanted}: {cheapest.refusal}.")
-    visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.plan.visits)
+    visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.visits)
     return Notice(
         "good",
-        f"Wanted {wanted}: {short(cheapest.plan.duration)} s are enough ({visits}); no test of these candidates "
-        f"is shorter than {short(cheapest.bound)} s.",
+        f"Wanted {wanted}: {short(cheapest.duration)} s are enough ({visits}); no test of these candidates "
+        f"is shorter than {short(plan.shortest)} s.",
     )
 
 

@@ -6,10 +6,11 @@
 ['pass', 'pass', 'info']
 """
 
-from piga.studies.case import Case, Chapter, published_recursion
+from piga.studies.case import Case, Chapter
 from piga.studies.constant import published_closed_form
 from piga.studies.platform import Capstone, capstone, capstone_figure
-from piga.studies.reproduction import CHAPTERS, Reproduction, chosen, reproduce
+from piga.studies.recursion import published_recursion
+from piga.studies.reproduction import CHAPTERS, Reproduction, reproduce
 
 __all__ = [
     "CHAPTERS",
@@ -19,7 +20,6 @@ __all__ = [
     "Reproduction",
     "capstone",
     "capstone_figure",
-    "chosen",
     "published_closed_form",
     "published_recursion",
     "reproduce",

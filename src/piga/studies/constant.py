@@ -1,8 +1,6 @@
 r"""The published closed forms, the four examples, the textbook period, and forms under varying input [Wei2020], [Wei2024].
 
-The published forms under constant input, one for each regime, for comparison.
-
-[Wei2024] eq. 5 to 11 and [Wei2020], with poles of the tangent, a branch to choose and no count of turns. With
+The forms, one for each regime, have poles of the tangent, a branch to choose and no count of turns. With
 ``p = tan(theta/2)``, ``theta = alpha - gamma``, ``r = a_t tan(beta)/a_x``:
 
 1. ``a_x = 0``: ``p = p0 exp(K b t)``;
@@ -78,15 +76,12 @@ def published_closed_form(
     ----------
     case:
         1 zero input, 2 critical, 3 locked, 4 running; must be the regime of the input.
-    inst:
-        The instrument; ``inst.alpha0`` is the angle at ``t = 0``.
-    t:
-        Time [s], any shape.
+    inst, t:
+        The instrument; ``inst.alpha0`` is the angle at ``t = 0``. Time [s], any shape.
     a_x, a_Y, a_Z:
         Constant specific force in base axes [m/s^2].
     as_published:
-        Use ``|r|`` instead of the signed ``r`` and do not mirror case 2, as printed. Differs only for negative
-        ``a_x``, where the printed forms are wrong by 0.03 to 0.04 rad/s on the published data.
+        Use ``|r|`` instead of the signed ``r`` and do not mirror case 2, as printed: wrong for negative ``a_x``.
 
     Returns
     -------
@@ -96,19 +91,15 @@ def published_closed_form(
     Raises
     ------
     ArgumentError
-        If ``case`` is not 1 to 4, or its formula has no real value for this input.
+        If the formula of ``case`` has no real value for this input.
     """
     a_t = math.hypot(a_Y, a_Z)
     b = a_t * inst.tan_beta
-    if case not in (1, 2, 3, 4) or (case == 1) != (a_x == 0.0):
+    fits = {1: a_x == 0.0, 2: a_x != 0.0, 3: 0.0 < abs(a_x) < abs(b), 4: abs(a_x) > abs(b)}
+    if not fits.get(case, False):
         raise ArgumentError(
-            f"case: {case!r} does not fit a_x = {a_x!r} m/s^2",
-            remedy="leave case out, or take the one of piga.regime",
-        )
-    if (case == 3 and abs(a_x) >= abs(b)) or (case == 4 and abs(a_x) <= abs(b)):
-        raise ArgumentError(
-            f"case: {case!r} has no real value for |a_x/b| = {abs(a_x / b) if b else math.inf}",
-            remedy="leave case out, or take the one of piga.regime",
+            f"case: form {case!r} has no real value for a_x = {a_x!r} m/s^2 and a_t tan(beta) = {b!r} m/s^2",
+            remedy="take the one of piga.regime",
         )
     K, gamma = inst.scale_factor, math.atan2(a_Z, a_Y)
     p0 = math.tan(0.5 * (inst.alpha0 - gamma))
@@ -121,8 +112,9 @@ def published_closed_form(
             p = np.asarray(p0 * np.exp(K * b * np.asarray(t, dtype=float)))
             rate = K * b * np.sin(2.0 * np.arctan(p))
         else:
-            p = {2: _case_2, 3: _case_3, 4: _case_4}[case](p0, phase, math.copysign(1.0, r) if case == 2 else r)
-            rate = K * a_x * (1.0 + (math.copysign(1.0, r) if case == 2 else r) * np.sin(2.0 * np.arctan(p)))
+            r = math.copysign(1.0, r) if case == 2 else r
+            p = {2: _case_2, 3: _case_3, 4: _case_4}[case](p0, phase, r)
+            rate = K * a_x * (1.0 + r * np.sin(2.0 * np.arctan(p)))
     return gamma + 2.0 * np.arctan(p), np.asarray(rate)
 
 
@@ -240,7 +232,7 @@ def period() -> Chapter:
         left = 2.0 / (INSTRUMENT.scale_factor * example.force[0] * _LATE) if example.number == 2 else 0.0
         end = float(closed_form(INSTRUMENT, _LATE, *example.force)[0])
         values[f"rest-{example.number}"] = Value(end + left, published=rest)
-    return chapter_of("period", values, ())
+    return chapter_of("period", values)
 
 
 def varying() -> Chapter:

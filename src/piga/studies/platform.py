@@ -36,7 +36,6 @@ from piga.platform.scenario import (
     Gyro,
     Harmonic,
     Model,
-    PigaSensors,
     Place,
     PlatformScenario,
     Rotation,
@@ -76,7 +75,7 @@ def table() -> Chapter:
         "velocity": GRAVITY_OF_TABLE * ARCMIN / CASE_RATE,
         "velocity-as-printed": 10.0 * ARCMIN / CASE_RATE,
     }
-    return chapter_of("redundancy-angle", values, ())
+    return chapter_of("redundancy-angle", values)
 
 
 def coupling() -> Chapter:
@@ -93,10 +92,7 @@ def coupling() -> Chapter:
         name: Value(value / _HOUR_RATE, published=relation[name] / _HOUR_RATE)
         for name, value in geometry.items()
     }
-    values["simulated"] = Value(
-        _simulated_rate(eta, drift) / _HOUR_RATE, published=relation["eta_rate"] / _HOUR_RATE
-    )
-    return chapter_of("drift-coupling", values, ())
+    return chapter_of("drift-coupling", values)
 
 
 def published_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: float) -> dict[str, float]:
@@ -124,10 +120,7 @@ def momentum_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: fl
         ends.append(_triad(p1, p2))
     (before, eta_before), (after, eta_after) = ends
     rate = matrix_to_rotation_vector(after @ before.T) / (2.0 * half)
-    return {
-        "w_Gx": float(rate[0]),
-        "w_Gy": float(rate[1]),
-        "w_Gz": float(rate[2]),
+    return dict(zip(("w_Gx", "w_Gy", "w_Gz"), rate.tolist(), strict=True)) | {
         "eta_rate": (eta_after - eta_before) / (2.0 * half),
         "w_G2x": float(rate @ h2),
     }
@@ -138,21 +131,6 @@ def _triad(h1: Array, h2: Array) -> tuple[Array, float]:
     y = np.cross(h1, h2)
     y /= np.linalg.norm(y)
     return np.stack([np.cross(y, h1), y, h1], axis=1), -math.asin(float(h1 @ h2))
-
-
-def _simulated_rate(eta: float, drift: dict[str, float]) -> float:
-    scenario = PlatformScenario(
-        Place(math.radians(40.0)),
-        duration=3600.0,
-        step=4.0,
-        polar_rotation=Rotation(CASE_RATE),
-        equatorial_rotation=Rotation(CASE_RATE),
-        polar=Gyro(drift=(drift["w1x"], drift["w1y"])),
-        equatorial=Gyro(drift=(drift["w2y"], drift["w2z"])),
-        redundancy=eta,
-    )
-    eta_readout = simulate(scenario).truth.eta
-    return float(eta_readout[-1] - eta_readout[0]) / scenario.duration
 
 
 LATITUDE: Final = math.radians(40.0)
@@ -168,16 +146,15 @@ class Published:
     """One channel on day ten with model A: simulated and theoretical amplitude as printed, in units of ``scale`` (SI)."""
 
     channel: str
-    label: str
     scale: float
     simulated: float
     theory: float
 
 
 CHANNELS = (
-    Published("east_velocity", "east velocity", 1.0, 0.03, 0.03),
-    Published("heading", "heading", ARCMIN, 0.13, 0.11),
-    Published("roll", "roll", ARCMIN, 0.16, 0.13),
+    Published("east_velocity", 1.0, 0.03, 0.03),
+    Published("heading", ARCMIN, 0.13, 0.11),
+    Published("roll", ARCMIN, 0.16, 0.13),
 )
 
 
@@ -249,12 +226,9 @@ def ten_days() -> Chapter:
         values[f"{name}-B"] = followed
     first = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]
     values["first-day"] = first[0] - first[1]
-    figures = (
-        _with_published(_named(lines_figure(comparison), "ten-days-lines")),
-        _named(
-            published_figure(comparison), "ten-days-end", "Errors around the end of day ten, models A and B"
-        ),
-    )
+    title = "Errors around the end of day ten, models A and B"
+    end = replace(published_figure(comparison), key="ten-days-end", title=title)
+    figures = (_with_published(lines_figure(comparison)), end)
     return chapter_of("ten-days", values, figures)
 
 
@@ -263,35 +237,28 @@ def wobble() -> Chapter:
     comparison = compared(wobble=True)
     amplitude = {m: float(r.lines.amplitude["east_velocity"][-1]) for m, r in comparison.models.items()}
     values = {f"removed-{m}": 100.0 * (1.0 - amplitude[m] / amplitude["A"]) for m in ("B", "C")}
+    title = "Errors around the end of day ten with wobble"
     figures = (
-        _named(lines_figure(comparison), "wobble-lines"),
-        _named(published_figure(comparison), "wobble-end", "Errors around the end of day ten with wobble"),
+        replace(lines_figure(comparison), key="wobble-lines"),
+        replace(published_figure(comparison), key="wobble-end", title=title),
     )
     return chapter_of("wobble", values | {"left-B": amplitude["B"]}, figures)
 
 
 def _with_published(figure: Figure) -> Figure:
     """The lines per day on linear axes, with the published amplitudes of day ten."""
-    printed = {c.label: c for c in CHANNELS}
-    panels = []
-    for panel in figure.panels:
-        channel = printed.get(panel.y.quantity.removesuffix(" line"))
-        added: tuple[Series, ...] = ()
-        if channel is not None:
-            added = (
-                Series([_DAYS], [channel.simulated], "published simulation, model A", "points", "warning"),
-                Series([_DAYS], [channel.theory], "published theory, model A", "points", "model"),
-            )
-        panels.append(replace(panel, y=replace(panel.y, log=False), series=(*panel.series, *added)))
+    panels = [replace(panel, y=replace(panel.y, log=False)) for panel in figure.panels]
+    for k, channel in enumerate(CHANNELS):
+        added = (
+            Series([_DAYS], [channel.simulated], "published simulation, model A", "points", "warning"),
+            Series([_DAYS], [channel.theory], "published theory, model A", "points", "model"),
+        )
+        panels[k] = replace(panels[k], series=(*panels[k].series, *added))
     caption = (
         "Amplitude fitted over each day, so that a day's point stands for its middle; the published amplitudes belong to the end "
         "of day ten. Model A grows with the redundancy angle as the theory says; model B follows it."
     )
-    return replace(figure, panels=tuple(panels), caption=caption)
-
-
-def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
-    return replace(figure, key=key, title=title or figure.title)
+    return replace(figure, key="ten-days-lines", panels=tuple(panels), caption=caption)
 
 
 # -- gyro accelerometers on the platform ---------------------------------------------------------------------
@@ -299,13 +266,14 @@ def _named(figure: Figure, key: str, title: str | None = None) -> Figure:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CapstoneOutcome(Result):
-    """Errors of one way to mount and read the instruments: ``sensors`` None is the ideal accelerometer.
+    """Errors of one way to mount and read the instruments, and how they are drawn.
 
     Locked time [s/day] of each instrument; noise against that of three axes at right angles.
     """
 
-    sensors: PigaSensors | None
     sentence: str
+    role: Role
+    dashed: bool
     errors: Errors
     locked_per_day: Array
     noise_gain: float
@@ -328,35 +296,16 @@ class Capstone(Result):
     scenario: PlatformScenario
     outcomes: Mapping[str, CapstoneOutcome]
 
-    def in_brief(self) -> list[tuple[str, str]]:
-        """Largest errors with each reading."""
-        return [
-            (name, f"position within {one.position:.4g} m, velocity within {one.velocity:.3g} m/s")
-            for name, one in self.outcomes.items()
-        ]
 
-
-def readings(sensors: PigaSensors) -> dict[str, tuple[PigaSensors | None, str]]:
-    """Sensors of the readings compared, with a sentence: from the ideal instrument to the locked one, and back."""
-    exact = msgspec.structs.replace(sensors, mounting="skewed", tan_beta_error=0.0, phase_error=0.0)
-    wrong = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
-    if sensors.tan_beta_error or sensors.phase_error:
-        wrong = {name: getattr(sensors, name) for name in wrong}
-
-    def read(**changes: Any) -> PigaSensors:
-        return msgspec.structs.replace(exact, **changes)
-
-    near = f"axes within {np.degrees(sensors.cone):.0f} deg of the pole: never locked, still pulled"
-    solved = "solved with tan(beta) and phase off by a calibration's error"
-    right = "three axes at right angles, output taken as alpha'/K"
-    return {
-        "ideal": (None, "ideal accelerometers: the platform and the navigator alone"),
-        "raw tripod": (read(cone=TRIPOD, output="raw"), right),
-        "raw skewed": (read(output="raw"), near),
-        "triad": (read(cone=TRIPOD, output="triad"), "right angles, effective axes solved per sample"),
-        "triad skewed": (read(output="triad"), "skewed and solved per sample"),
-        "triad, calibrated": (read(cone=TRIPOD, output="triad", **wrong), solved),
-    }
+_READINGS: dict[str, tuple[dict[str, Any] | None, str, Role, bool]] = {
+    "ideal": (None, "ideal accelerometers: the platform and the navigator alone", "reference", True),
+    "raw tripod": ({"cone": TRIPOD, "output": "raw"}, "three axes at right angles, output taken as alpha'/K", "before", False),
+    "raw skewed": ({"output": "raw"}, "axes within {:.0f} deg of the pole: never locked, still pulled", "warning", False),
+    "triad": ({"cone": TRIPOD}, "right angles, effective axes solved per sample", "after", False),
+    "triad skewed": ({}, "skewed and solved per sample", "model", True),
+    "triad, calibrated": ({"cone": TRIPOD}, "solved with tan(beta) and phase off by a calibration's error", "z", True),
+}  # fmt: skip
+"""Readings compared, from the ideal instrument to the locked one, and back: what they change, a sentence, how they are drawn."""
 
 
 def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
@@ -369,8 +318,6 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     ------
     ArgumentError
         If the scenario has no gyro accelerometers.
-    CancelledError
-        If ``progress`` returns False.
     """
     sensors = scenario.sensors.pigas
     if sensors is None:
@@ -378,79 +325,75 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
             f"{scenario.source or 'the scenario'}: there are no gyro accelerometers",
             remedy="set [sensors] accelerometers = 'piga'",
         )
-    ways = readings(sensors)
-    steps = Steps(progress, 2 + len(ways))
+    off = {"tan_beta_error": sensors.tan_beta_error, "phase_error": sensors.phase_error}
+    if not any(off.values()):
+        off = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
+    steps = Steps(progress, 2 + len(_READINGS))
     steps("simulating")
     ideal = simulate(replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=None)))
     steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
-    for name, (used, sentence) in ways.items():
+    for name, (changes, sentence, role, dashed) in _READINGS.items():
         steps(f"navigating, {name}")
-        read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=used))
-        run = ideal if used is None else simulate(read, motion=ideal.truth.motion)
-        outcomes[name] = _outcome(run, used, sentence, preparation)
+        run, axes, inside = ideal, np.eye(3), np.zeros(3)
+        if changes is not None:
+            wrong = off if name.endswith("calibrated") else dict.fromkeys(off, 0.0)
+            given = {"mounting": "skewed", "output": "triad"} | wrong | changes
+            used = msgspec.structs.replace(sensors, **given)
+            read = replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=used))
+            run = simulate(read, motion=ideal.truth.motion)
+            axes, inside = mounting_axes(used)[:, 0, :], locked(used, run.truth.force).mean(axis=0) * DAY
+        gain = float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0))
+        words = sentence.format(np.degrees(sensors.cone))
+        left = _navigated(run, preparation)
+        outcomes[name] = CapstoneOutcome(words, role, dashed, left, inside, gain)
     steps.finish()
     return Capstone(scenario, outcomes)
 
 
-def _outcome(
-    run: PlatformRun, sensors: PigaSensors | None, sentence: str, preparation: Preparation
-) -> CapstoneOutcome:
+def _navigated(run: PlatformRun, preparation: Preparation) -> Errors:
+    """Navigation errors of a run with model B."""
     s, readouts = run.scenario, run.readouts
     made = compensator("B", preparation.knowledge, readouts, redundancy=s.compensation.redundancy)
     every = max(1, round(10.0 / s.step))
     navigation = navigate(readouts, made, preparation.start, damping_time=s.damping_time, every=every)
-    axes, inside = np.eye(3), np.zeros(3)
-    if sensors is not None:
-        axes, inside = mounting_axes(sensors)[:, 0, :], locked(sensors, run.truth.force).mean(axis=0) * DAY
-    gain = float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0))
-    return CapstoneOutcome(sensors, sentence, errors(navigation, run.truth, readouts), inside, gain)
+    return errors(navigation, run.truth, readouts)
 
 
 def capstone_figure(capstone: Capstone) -> Figure:
     """Horizontal position error over the run for every reading."""
-    looks: dict[str, tuple[Role, bool]] = {
-        "ideal": ("reference", True),
-        "raw tripod": ("before", False),
-        "raw skewed": ("warning", False),
-        "triad": ("after", False),
-        "triad skewed": ("model", True),
-        "triad, calibrated": ("z", True),
-    }
     axis, unit = time_axis(float(capstone.scenario.duration))
     title = "Ten days with three gyro accelerometers"
     plot = Plot("fig-capstone", title, axis, "log horizontal position error [m]", height=3.6)
     for name, o in capstone.outcomes.items():
         peak = np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4)
-        role, dashed = looks[name]
-        plot.line(o.errors.times / unit, peak, name, role, dashed=dashed)
+        plot.line(o.errors.times / unit, peak, name, o.role, dashed=o.dashed)
     return plot.caption("Largest error within each 84 minutes.")
 
 
 def capstone_page(capstone: Capstone) -> Page:
     """Page on the effect of the locked zone on the platform, and its compensation."""
-    raw, solved = capstone.outcomes["raw tripod"], capstone.outcomes["triad"]
-    skewed = capstone.outcomes["raw skewed"]
+    o = capstone.outcomes
+    position = {name: short(one.position) for name, one in o.items()}
     tiles = (
-        Tile("raw output", short(raw.position), "m", "largest horizontal error, axes at right angles", "bad"),
-        Tile("skewed mounting", short(skewed.position), "m", "raw output, axes near the pole", "doubtful"),
-        Tile("triad solved", short(solved.position), "m", "effective axes, per sample", "good"),
+        Tile(
+            "raw output", position["raw tripod"], "m", "largest horizontal error, axes at right angles", "bad"
+        ),
+        Tile("skewed mounting", position["raw skewed"], "m", "raw output, axes near the pole", "doubtful"),
+        Tile("triad solved", position["triad"], "m", "effective axes, per sample", "good"),
     )
     story = (
         "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
         "horizontal twice a sidereal day and is inside its locked zone for "
-        f"{short(float(raw.locked_per_day.max()))} s a day: too short to lock, but about it the gimbal turns so slowly that "
-        "its cross-coupling does not average out. "
-        f"Read as alpha'/K, the three instruments put the navigator {short(raw.position)} m off.\n\n"
-        f"Mounted within the latitude of the pole the axes never come to the horizontal: {short(skewed.position)} m, "
-        f"with {short(skewed.noise_gain)} times the noise. Solved together with their effective axes the three "
-        f"instruments give the force back in any mounting: {short(solved.position)} m, against "
-        f"{short(capstone.outcomes['ideal'].position)} m with ideal ones."
+        f"{short(float(o['raw tripod'].locked_per_day.max()))} s a day: too short to lock, but about it the gimbal turns so "
+        "slowly that its cross-coupling does not average out.\n\n"
+        "Mounted within the latitude of the pole the axes never come to the horizontal, with "
+        f"{short(o['raw skewed'].noise_gain)} times the noise. Solved together with their effective axes the three "
+        f"instruments give the force back in any mounting, against {position['ideal']} m with ideal ones."
     )
-    sections = (
-        Section("What happens", "story", (story, capstone_figure(capstone), _capstone_table(capstone))),
-    )
+    blocks = (story, capstone_figure(capstone), _capstone_table(capstone))
+    sections = (Section("What happens", "story", blocks),)
     return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
 
 

@@ -1,45 +1,238 @@
-"""[Wei2024]: the time-varying run, the skew that avoids locking, calibration, compensation, five coefficients; and the errata."""
+"""[Wei2024]: the time-varying run, the skew that avoids locking, the published recursion, compensation, five coefficients."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Final, Literal
 
 import numpy as np
 
+from piga._kernels.jit import kernel
 from piga.calibration.calibrate import calibrate
+from piga.calibration.fit import fit_run
+from piga.calibration.model.request import make_request
+from piga.compensation import compensate
+from piga.errors import CalibrationError
 from piga.instrument import ErrorModel, Instrument, closed_form, dead_zone, mean_rate, propagate
 from piga.records import Calibration, Run
-from piga.reports.render.figure import Figure, Plot, Role, axis
+from piga.reports.render.figure import Figure, Plot, Role
 from piga.results import Array
-from piga.studies.case import (
-    INSTRUMENT,
-    RAMP_TOP,
-    RATIO,
-    SCALE,
-    TRANSVERSE,
-    Chapter,
-    Value,
-    chapter_of,
-    closed_form_phase,
-    compensated_error,
-    growing_estimates,
-    model_phase,
-    model_residual,
-    own_calibration,
-    published_calibration,
-    published_recursion,
-    raw_error,
-    raw_state,
-    record,
-    velocity,
-)
-from piga.studies.constant import EXAMPLES, published_closed_form
-from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
-from piga.units import ARCMIN, ARCSEC, G0
+from piga.studies.case import INSTRUMENT, RATIO, SCALE, TRANSVERSE, Chapter, Value, chapter_of
+from piga.units import ARCSEC, G0
 
-_PUBLISHED_TAN_BETA, _PUBLISHED_PHASE = 4.848e-3, 0.802
+RAMP_TOP: Final = 2.06
+"""a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
+PUBLISHED_PHASE: Final = 0.802
+"""phi of the time-varying run as printed [rad]."""
+_POINTS, _GROWING = 400, 50
+"""Points of the history of the published recursion, and of piga's own estimates."""
+
+ForceHistory = Literal["ramp", "constant"]
+
+
+@cache
+def record(profile: ForceHistory) -> Run:
+    """The time-varying run as a record of output rates over 100 s at 100 Hz, a_Y = 5 a_x [Wei2024].
+
+    ``ramp``: a_x from 0 to 2.06 g. The publication does not print its profile; a straight line replaces
+    it. ``constant``: a_x = 2.06 g throughout.
+    """
+    t = np.arange(10_001) / 100.0
+    a_x = RAMP_TOP * G0 * (t / 100.0 if profile == "ramp" else np.ones_like(t))
+    f = np.outer(a_x, [1.0, TRANSVERSE, 0.0])
+    _, output = propagate(INSTRUMENT, t, f, with_rate=True, between="linear")
+    return Run.from_arrays(t, output, f, scale_factor=SCALE, kind="rate", serial="published", units="SI")
+
+
+@cache
+def published_calibration(profile: ForceHistory) -> Calibration:
+    """[tan_beta, phi] of a record by the published recursion, x0 = [4.5e-3, 0.4], P0 = 1e10 I."""
+    return published_recursion(record(profile))
+
+
+@cache
+def own_calibration(profile: ForceHistory) -> Calibration:
+    """The calibration by piga's linear estimator. It needs no first guess."""
+    return calibrate(record(profile), terms=["tan_beta"])
+
+
+def growing_estimates(run: Run) -> dict[str, Array]:
+    """Estimates of tan_beta and phi by piga from the first samples of a record."""
+    marks, rows = np.linspace(1, run.size, _GROWING).astype(np.int64)[1:], []
+    for mark in marks.tolist():
+        part = run.between(float(run.t[0]), float(run.t[mark - 1]))
+        fit = fit_run(part, make_request(part, ("tan_beta",)))
+        rows.append([c.value for c in fit.runs.named(fit.estimate, fit.estimate.covariance)[0]])
+    return {"sample": marks.astype(float), **dict(zip(("tan_beta", "phi"), np.array(rows).T, strict=True))}
+
+
+def raw_state(profile: ForceHistory) -> tuple[float, float]:
+    """[tan_beta, phi] as the recursion returns them. tan_beta may be negative and phi beyond half a turn."""
+    history = published_calibration(profile).history or {}
+    return float(history["tan_beta"][-1]), float(history["phi"][-1])
+
+
+def raw_error(run: Run) -> Array:
+    """Indicated minus true specific force of a rate record [g]."""
+    return np.asarray((run.output / run.scale_factor - run.f[:, 0]) / G0)
+
+
+def velocity(run: Run) -> Array:
+    """Integral of a_x [m/s]."""
+    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def model_phase(run: Run) -> Array:
+    """Phase of the published model minus phi: the integral of K a_x [rad]."""
+    return np.asarray(run.scale_factor * velocity(run))
+
+
+def model_residual(run: Run, calibration: Calibration) -> Array:
+    """Error that remains after the published model, at its own phase [g] (a_Z = 0)."""
+    phase = model_phase(run) + calibration["phi"].value
+    return np.asarray(raw_error(run) - run.f[:, 1] / G0 * calibration["tan_beta"].value * np.sin(phase))
+
+
+def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
+    """Compensated minus true specific force of a rate record [g]."""
+    return np.asarray((compensate(run, calibration, method=method, uncertainty=False).ax - run.f[:, 0]) / G0)
+
+
+def with_phase(calibration: Calibration, phi: float) -> Calibration:
+    """The calibration with another phase [rad], as the phase of the output."""
+    changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in calibration.coefficients)
+    return replace(calibration, coefficients=changed, phase_source="output")
+
+
+def closed_form_phase() -> tuple[float, float]:
+    """``C`` and ``phi = asin(r)`` of the time-varying run [rad] [Wei2024, eq. 5-11, 19-21]."""
+    root = math.sqrt((1.0 - RATIO) * (1.0 + RATIO))
+    start = math.tan(0.5 * INSTRUMENT.alpha0)
+    return 2.0 / root * math.atan((start + RATIO) / root), math.asin(RATIO)
+
+
+# -- the published recursion -----------------------------------------------------------------------------
+
+
+def published_recursion(
+    run: Run,
+    terms: tuple[str, ...] = ("tan_beta",),
+    *,
+    start: tuple[float, ...] = (4.5e-3, 0.4),
+    variance: float = 1e10,
+) -> Calibration:
+    """Calibrate a record by the published recursion [Wei2024, eq. 12-18, 22-24], with its history.
+
+    It predicts the phase from the input instead of reading it, takes ``a_t`` along the direction of the largest transverse
+    force, and needs a first guess. It can converge to a wrong solution. This implementation does not hide that.
+
+    The indicated acceleration is the increment (or rate) of the output plus the base rotation about X0, divided by
+    the nominal K. The phase is ``s = int K a_x`` from the start. ``history`` has the states as the recursion returns them:
+    tan_beta may be negative and phi beyond half a turn.
+
+    Parameters
+    ----------
+    run:
+        The record.
+    terms:
+        ``("tan_beta",)`` or ``("tan_beta", "k0", "k1", "k2")``.
+    start, variance:
+        First states (tan_beta, phi [rad], then k0, k1, k2 in g units; those that are not given are 0), and the diagonal of their
+        first covariance. Those of the published run are the default.
+
+    Raises
+    ------
+    CalibrationError
+        For other terms, or too many values of ``start``.
+    """
+    names = ("tan_beta", "phi", *terms[1:])
+    if tuple(terms) not in (("tan_beta",), ("tan_beta", "k0", "k1", "k2")) or len(start) > len(names):
+        raise CalibrationError(
+            "the published recursion estimates (tan_beta) or (tan_beta, k0, k1, k2), and starts from as many values and phi",
+            remedy="give these terms, or use piga.calibrate",
+        )
+    indicated, force, s = _series(run)
+    at = int(np.argmax(force[1] ** 2 + force[2] ** 2))
+    direction = float(np.arctan2(force[2, at], force[1, at]))
+    a_t = (force[1] * np.cos(direction) + force[2] * np.sin(direction)) / G0
+    state = np.zeros(len(names))
+    state[: len(start)] = start
+    state[1] -= direction
+    covariance = np.eye(state.size) * variance
+    marks = np.unique(np.linspace(1, s.size, min(_POINTS, s.size)).astype(np.int64))
+    history = np.empty((s.size, state.size))
+    total = _recursion(indicated / G0, force[0] / G0, a_t, s, state, covariance, history)
+    state[1] += direction
+    history = history[marks - 1]
+    history[:, 1] += direction
+    values = {"sample": marks.astype(float), **dict(zip(names, history.T, strict=True))}
+    if state[0] < 0.0:
+        state[0], state[1] = -state[0], state[1] + np.pi
+    state[1] = math.remainder(state[1], 2.0 * math.pi)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0) * total / (s.size - state.size))
+    given = {name: (float(v), float(u)) for name, v, u in zip(names, state, std, strict=True)}
+    result = Calibration.from_coefficients(given, serial=run.serial, scale_factor_nominal=run.scale_factor)
+    return replace(result, terms=tuple(terms), method="published", history=values)
+
+
+def _series(run: Run) -> tuple[Array, Array, Array]:
+    """Indicated acceleration [m/s^2], force (3, n) and predicted phase, per sample or mid-interval."""
+    omega = np.zeros(run.size) if run.base_rate is None else run.base_rate[:, 0]
+    h = np.diff(run.t)
+    h[run.begins[1:]] = 0.0
+    step = run.scale_factor * h * 0.5 * (run.f[1:, 0] + run.f[:-1, 0])
+    s = np.concatenate(([0.0], np.cumsum(step)))
+    if run.kind == "rate":
+        return (run.output + omega) / run.scale_factor, run.f.T, s
+    formed = h > 0.0
+    rate = np.diff(run.output)[formed] / h[formed] + 0.5 * (omega[1:] + omega[:-1])[formed]
+    force = 0.5 * (run.f[1:] + run.f[:-1])[formed].T
+    return rate / run.scale_factor, force, 0.5 * (s[1:] + s[:-1])[formed]
+
+
+@kernel
+def _recursion(indicated: Array, a_x: Array, a_t: Array, s: Array, x: Array, P: Array, history: Array) -> float:
+    """Run the recursion over all samples; ``x`` and ``P`` are updated in place.
+
+    ``y = indicated - a_x``, ``row = [a_t sin(s + x2), a_t x1 cos(s + x2), 1, a_x, a_x^2]`` cut to the
+    states, ``gain = P row / (1 + row P row)``, as published [Wei2024, eq. 12-18 and 22-24]. The states after each sample
+    go into ``history``. Returns the sum of squared innovations.
+    """
+    m = x.size
+    row = np.empty(m)
+    Pr = np.empty(m)
+    total = 0.0
+    for i in range(indicated.size):
+        sine, cosine = math.sin(s[i] + x[1]), math.cos(s[i] + x[1])
+        row[0] = a_t[i] * sine
+        row[1] = a_t[i] * x[0] * cosine
+        residual = indicated[i] - a_x[i] - a_t[i] * x[0] * sine
+        if m > 2:
+            row[2] = 1.0
+            row[3] = a_x[i]
+            row[4] = a_x[i] * a_x[i]
+            residual -= x[2] + x[3] * a_x[i] + x[4] * a_x[i] * a_x[i]
+        denominator = 1.0
+        for j in range(m):
+            Pr[j] = 0.0
+            for k in range(m):
+                Pr[j] += P[j, k] * row[k]
+            denominator += row[j] * Pr[j]
+        for j in range(m):
+            gain = Pr[j] / denominator
+            x[j] += gain * residual
+            for k in range(m):
+                P[j, k] -= gain * Pr[k]
+        total += residual * residual
+        history[i] = x
+    return total
+
+
+# -- chapters -----------------------------------------------------------------------------------------
+
 _LATE = 20.0
 _EVERY = 20
 """Every 20th sample of the run is drawn: at least seventeen per revolution."""
@@ -48,12 +241,9 @@ _EVERY = 20
 def run() -> Chapter:
     """a_Y = 5 a_x with a_x up to about 2 g: indicated against true acceleration."""
     log = record("ramp")
-    error = raw_error(log)
-    late = log.f[:, 0] > 0.5 * RAMP_TOP * G0
-    values = {
-        "error": float(np.abs(error).max()),
-        "growth": float(np.abs(error[late] / (log.f[late, 0] / G0)).max()),
-    }
+    error, late = raw_error(log), log.f[:, 0] > 0.5 * RAMP_TOP * G0
+    growth = float(np.abs(error[late] / (log.f[late, 0] / G0)).max())
+    values = {"error": float(np.abs(error).max()), "growth": growth}
     return chapter_of("time-varying", values, (_run_figure(error),))
 
 
@@ -64,11 +254,9 @@ def _run_figure(error: Array) -> Figure:
     indicated = a_x + error
     plot = Plot("time-varying-run", "Indicated against true acceleration, a_Y = 5 a_x", columns=2, height=2.6)
     close = a_x > RAMP_TOP - 0.25
-    for part, ends, title in (
-        (slice(None), np.array([0.0, RAMP_TOP]), "Indicated against true"),
-        (close, a_x[close][[0, -1]], "The last quarter of a g"),
-    ):
+    for part, title in ((slice(None), "Indicated against true"), (close, "The last quarter of a g")):
         plot.panel("true acceleration a_x [g]", "indicated acceleration [g]", title)
+        ends = a_x[part][[0, -1]]
         plot.dashed(ends, ends, "ideal").line(a_x[part], indicated[part], "indicated", "before")
     plot.panel("true acceleration a_x [g]", "error [g]", "Error against the input")
     plot.band(a_x, -RATIO * a_x, RATIO * a_x, "envelope 5 a_x tan(beta)")
@@ -90,7 +278,7 @@ def mounting() -> Chapter:
         "moves": _revolving_skew(load),
         "shortfall": 1.0 - rate / (INSTRUMENT.scale_factor * a_x),
     }
-    return chapter_of("mounting", values, ())
+    return chapter_of("mounting", values)
 
 
 def _revolving_skew(load: float) -> float:
@@ -106,8 +294,8 @@ def _revolving_skew(load: float) -> float:
 
 def recursion() -> Chapter:
     """[tan_beta, phi] from x0 = [4.5e-3, 0.4], P0 = 1e10 I, and wrong convergence with a constant input."""
-    tan_beta, phi = raw_state(published_calibration("ramp"))
-    wrong_tan_beta, wrong_phi = raw_state(published_calibration("constant"))
+    tan_beta, phi = raw_state("ramp")
+    wrong_tan_beta, wrong_phi = raw_state("constant")
     ours, constant_ours = own_calibration("ramp"), own_calibration("constant")
     constant, lead = closed_form_phase()
     values = {
@@ -129,12 +317,12 @@ def _history_figure() -> Figure:
     t = record("ramp").t
     estimates: tuple[tuple[dict[str, Array], str, Role], ...] = (
         (published_calibration("ramp").history or {}, "published recursion", "before"),
-        (growing_estimates(record("ramp"), ("tan_beta",)), "linear estimator, no first guess", "after"),
+        (growing_estimates(record("ramp")), "linear estimator, no first guess", "after"),
     )
     plot = Plot("recursion-history", "Recursive calibration: history of the estimates", columns=2, height=2.3)
     for name, scale, y, true, printed in (
-        ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, _PUBLISHED_TAN_BETA),
-        ("phi", 1.0, "phi [rad]", INSTRUMENT.alpha0, _PUBLISHED_PHASE),
+        ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, 4.848e-3),
+        ("phi", 1.0, "phi [rad]", INSTRUMENT.alpha0, PUBLISHED_PHASE),
     ):
         for begin in (0.0, _LATE):
             above = "Whole run" if begin == 0.0 else f"From {_LATE:g} s on"
@@ -157,23 +345,11 @@ def compensation() -> Chapter:
     log = record("ramp")
     published, ours = published_calibration("ramp"), own_calibration("ramp")
     before, model = raw_error(log), model_residual(log, published)
-    formula = compensated_error(log, _with_phase(published, _PUBLISHED_PHASE), "published")
+    formula = compensated_error(log, with_phase(published, PUBLISHED_PHASE), "published")
     exact = compensated_error(log, ours, "exact")
-    largest = [float(np.abs(error).max()) for error in (before, model, formula, exact)]
-    values = {
-        "before": largest[0],
-        "model-limit": largest[1],
-        "model": largest[1],
-        "formula": largest[2],
-        "exact": largest[3],
-    }
+    largest = [float(np.abs(error).max()) for error in (before, model, model, formula, exact)]
+    values = dict(zip(("before", "model-limit", "model", "formula", "exact"), largest, strict=True))
     return chapter_of("compensation", values, (_compensation_figure(before, model, formula, exact),))
-
-
-def _with_phase(calibration: Calibration, phi: float) -> Calibration:
-    """The calibration with another phase [rad], as the phase of the output."""
-    changed = tuple(replace(c, value=phi) if c.name == "phi" else c for c in calibration.coefficients)
-    return replace(calibration, coefficients=changed, phase_source="output")
 
 
 def _compensation_figure(before: Array, model: Array, formula: Array, exact: Array) -> Figure:
@@ -242,7 +418,6 @@ def _model_record() -> Run:
     )
 
 
-@cache
 def _noisy_successes() -> tuple[int, int]:
     """Number of ``_TRIALS`` noisy records in which the published method, and piga's, recovers the truth.
 
@@ -261,30 +436,18 @@ def _noisy_successes() -> tuple[int, int]:
     return successes[0], successes[1]
 
 
-@cache
-def own_five() -> Calibration:
-    """Calibration of the real record by piga."""
-    return calibrate(_real_record(), terms=TERMS)
-
-
-@cache
-def published_five(*, real: bool) -> Calibration:
-    """The published recursion from its first guess, on the real record or on a record of the published model."""
-    run = _real_record() if real else _model_record()
-    return published_recursion(run, TERMS)
-
-
 def five() -> Chapter:
     """Error curve, fit overlay and recovered values, for the published method and piga's."""
+    own = calibrate(_real_record(), terms=TERMS)
+    real, modelled = (published_recursion(run, TERMS) for run in (_real_record(), _model_record()))
     values: dict[str, float | Value] = {}
     for name in TRUTH:
-        ours = own_five()[name]
-        values[name] = Value(ours.value, tolerance=3.0 * ours.std, words={"std": ours.std})
-        values[f"{name}-published"] = published_five(real=False)[name].value
-        values[f"{name}-real"] = published_five(real=True)[name].value
+        values[name] = Value(own[name].value, tolerance=3.0 * own[name].std, words={"std": own[name].std})
+        values[f"{name}-published"] = modelled[name].value
+        values[f"{name}-real"] = real[name].value
     old, new = _noisy_successes()
     values |= {"successes-published": float(old), "successes": float(new)}
-    return chapter_of("five-coefficients", values, (_five_record(), _five_fit(), _five_history()))
+    return chapter_of("five-coefficients", values, (_five_record(), _five_fit(own, real)))
 
 
 def _indicated_error(run: Run) -> tuple[Array, Array, Array]:
@@ -315,12 +478,12 @@ def _five_record() -> Figure:
     )
 
 
-def _five_fit() -> Figure:
+def _five_fit(own: Calibration, published: Calibration) -> Figure:
     run = _real_record()
     t, error, psi = _indicated_error(run)
     force = five_force(t)
-    fit = _model_error(own_five(), force, psi)
-    old = _model_error(published_five(real=True), force, np.interp(t, run.t, model_phase(run)))
+    fit = _model_error(own, force, psi)
+    old = _model_error(published, force, np.interp(t, run.t, model_phase(run)))
     plot = Plot("five-fit", "Fit of the five coefficients", columns=2, height=2.4)
     for begin, end in ((100.0, 130.0), (215.0, 245.0)):
         part = (t > begin) & (t < end)
@@ -336,116 +499,3 @@ def _five_fit() -> Figure:
         "Above: thirty seconds of the rise and of the fast changes. Below: what each method leaves (means over 0.2 s). Good is "
         "noise without a trace of the gimbal's turns."
     )
-
-
-_SHOWN = (
-    ("tan_beta", 1e3, axis("tan(beta) [1e-3]", limits=(0.0, 0.7))),
-    ("phi", 180.0 / math.pi, axis("phi [deg]", limits=(0.0, 40.0))),
-    ("k0", 1e3, axis("k0 [mg]", limits=(-4.0, 4.0))),
-    ("k1", 1e3, axis("k1 [1e-3]", limits=(-10.0, 10.0))),
-    ("k2", 1e3, axis("k2 [mg/g^2]", limits=(-2.0, 4.0))),
-)
-
-
-def _five_history() -> Figure:
-    t = _real_record().t
-    plot = Plot("five-history", "The five coefficients as the record comes in", columns=2, height=2.0)
-
-    own, published = growing_estimates(_real_record(), TERMS), published_five(real=True).history or {}
-
-    def late(history: dict[str, Array], name: str) -> tuple[Array, Array]:
-        """Times from 20 s on, and the history there."""
-        when = t[np.minimum(history["sample"].astype(int), t.size) - 1]
-        return when[when > 20.0], history[name][when > 20.0]
-
-    for name, scale, y in _SHOWN:
-        when, value = late(own, name)
-        half = 2.0 * scale * late(own, f"u({name})")[1]
-        plot.panel("time [s]", y)
-        plot.band(when, scale * value - half, scale * value + half, "95 % interval", "after")
-        plot.level([20.0, t[-1]], scale * TRUTH[name], "published value")
-        before, old = late(published, name)
-        plot.line(before, scale * old, "published method", "before")
-        plot.line(when, scale * value, "linear estimator", "after")
-    return plot.caption(
-        "From 20 s on. The linear estimator runs into the published values inside its stated interval; the published method, "
-        "whose phase is predicted from the input, does not on the exact motion."
-    )
-
-
-# -- errors in the publications --------------------------------------------------------------------------
-
-_T = np.linspace(0.0, 60.0, 1201)
-
-
-def errata() -> Chapter:
-    """All errata with their numbers."""
-    values = {**_forms(), **_phase(), **_platform()}
-    computed = {key: value.computed if isinstance(value, Value) else value for key, value in values.items()}
-    signs = [computed[f"sign-{number}"] for number in (2, 3, 4)]
-    return chapter_of(
-        "errata",
-        values,
-        (),
-        least_sign=min(signs),
-        most_sign=max(signs),
-        square=computed["square"],
-        shift=abs(computed["phase-shift"]),
-        residual=1e3 * computed["phase-residual"],
-        degrees=computed["degrees"],
-        effect=computed["degrees-effect"],
-        gravity=computed["gravity"],
-        heading=computed["heading-published"],
-        roll=computed["roll-published"],
-        ours=computed["heading-ours"],
-    )
-
-
-def _forms() -> dict[str, float | Value]:
-    """The lost sign of the printed forms, for the a_x of the examples turned negative; the lost square of the critical one."""
-    values: dict[str, float | Value] = {}
-    for example in EXAMPLES[1:]:
-        a_x, a_Y, a_Z = example.force
-        force = -a_x, a_Y, a_Z
-        exact = closed_form(INSTRUMENT, _T, *force)[1]
-        for suffix, printed in (("", True), ("-corrected", False)):
-            _, rate = published_closed_form(example.number, INSTRUMENT, _T, *force, as_published=printed)
-            values[f"sign-{example.number}{suffix}"] = float(np.abs(rate - exact).max())
-    force = EXAMPLES[1].force
-    start, top = math.tan(0.5 * INSTRUMENT.alpha0), 2.0 * INSTRUMENT.scale_factor * force[0]
-    m = 0.5 * top * _T + (start - 1.0) / (start + 1.0)
-    exact = closed_form(INSTRUMENT, _T, *force)[1]
-    values["square"] = float(top / (1.0 + m[0]))
-    values["square-corrected"] = float(np.abs(top / (1.0 + m * m) - exact).max())
-    return values
-
-
-def _phase() -> dict[str, float | Value]:
-    """The phase of the published model, which walks away from the true one by K V r^2/2, and the phase printed in degrees."""
-    log, calibration, (constant, lead) = record("ramp"), published_calibration("ramp"), closed_form_phase()
-    predicted = model_phase(log)
-    walk = predicted + constant - lead - propagate(INSTRUMENT, log.t, log.f, between="linear")
-    shift = raw_state(calibration)[1] - (constant - lead)
-    misread = compensated_error(log, _with_phase(calibration, math.radians(_PUBLISHED_PHASE)), "published")
-    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(walk + shift).max())
-    left = float(np.abs(model_residual(log, calibration)).max())
-    return {
-        "phase-walk": float(np.polyfit(0.5 * RATIO**2 * predicted, walk, 1)[0]),
-        "phase-shift": shift,
-        "phase-residual": Value(left, words={"bound": bound}),
-        "degrees": math.degrees(constant - lead),
-        "degrees-effect": float(np.abs(misread).max()),
-    }
-
-
-def _platform() -> dict[str, float | Value]:
-    """G of the table, and the simulated lines of heading and roll over the formula."""
-    values: dict[str, float | Value] = {
-        "gravity": 100.0 * (0.222 / (GRAVITY_OF_TABLE * ARCMIN / CASE_RATE) - 1.0)
-    }
-    lines = last_lines(compared(wobble=False), "A")
-    for c in CHANNELS[1:]:
-        theory = formula(c.channel)
-        values[f"{c.channel}-published"] = 100.0 * (c.simulated * c.scale / theory - 1.0)
-        values[f"{c.channel}-ours"] = 100.0 * (lines[c.channel] / theory - 1.0)
-    return values

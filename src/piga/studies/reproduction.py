@@ -1,12 +1,16 @@
-"""Run all chapters or one, and show the results as a page and a terminal table."""
+"""The errata of the publications; all chapters or one, run and shown as a page and a terminal table."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from piga._version import __version__
 from piga.errors import ArgumentError
+from piga.instrument import closed_form, propagate
 from piga.progress import Progress, Steps
 from piga.reports.render.figure import Figure
 from piga.reports.render.numbers import pretty_unit, significant
@@ -21,7 +25,83 @@ from piga.reports.render.page import (
     named_values,
 )
 from piga.studies import constant, platform, recursion
-from piga.studies.case import Case, Chapter, Verdict
+from piga.studies.case import INSTRUMENT, RATIO, TRANSVERSE, Case, Chapter, Value, Verdict, chapter_of
+from piga.studies.constant import EXAMPLES, published_closed_form
+from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
+from piga.studies.recursion import (
+    PUBLISHED_PHASE,
+    RAMP_TOP,
+    closed_form_phase,
+    compensated_error,
+    model_phase,
+    model_residual,
+    published_calibration,
+    raw_state,
+    record,
+    with_phase,
+)
+from piga.units import ARCMIN
+
+# -- errors in the publications --------------------------------------------------------------------------
+
+
+def errata() -> Chapter:
+    """All errata with their numbers."""
+    return chapter_of("errata", {**_forms(), **_phase(), **_platform()})
+
+
+def _forms() -> dict[str, float | Value]:
+    """The lost sign of the printed forms, for the a_x of the examples turned negative; the lost square of the critical one."""
+    values: dict[str, float | Value] = {}
+    t = np.linspace(0.0, 60.0, 1201)
+    for example in EXAMPLES[1:]:
+        a_x, a_Y, a_Z = example.force
+        force = -a_x, a_Y, a_Z
+        exact = closed_form(INSTRUMENT, t, *force)[1]
+        for suffix, printed in (("", True), ("-corrected", False)):
+            _, rate = published_closed_form(example.number, INSTRUMENT, t, *force, as_published=printed)
+            values[f"sign-{example.number}{suffix}"] = float(np.abs(rate - exact).max())
+    force = EXAMPLES[1].force
+    start, top = math.tan(0.5 * INSTRUMENT.alpha0), 2.0 * INSTRUMENT.scale_factor * force[0]
+    m = 0.5 * top * t + (start - 1.0) / (start + 1.0)
+    exact = closed_form(INSTRUMENT, t, *force)[1]
+    values["square"] = float(top / (1.0 + m[0]))
+    values["square-corrected"] = float(np.abs(top / (1.0 + m * m) - exact).max())
+    return values
+
+
+def _phase() -> dict[str, float | Value]:
+    """The phase of the published model, which walks away from the true one by K V r^2/2, and the phase printed in degrees."""
+    log, calibration, (constant, lead) = record("ramp"), published_calibration("ramp"), closed_form_phase()
+    predicted = model_phase(log)
+    walk = predicted + constant - lead - propagate(INSTRUMENT, log.t, log.f, between="linear")
+    shift = raw_state("ramp")[1] - (constant - lead)
+    misread = compensated_error(log, with_phase(calibration, math.radians(PUBLISHED_PHASE)), "published")
+    bound = TRANSVERSE * RAMP_TOP * INSTRUMENT.tan_beta * float(np.abs(walk + shift).max())
+    left = float(np.abs(model_residual(log, calibration)).max())
+    return {
+        "phase-walk": float(np.polyfit(0.5 * RATIO**2 * predicted, walk, 1)[0]),
+        "phase-shift": shift,
+        "phase-residual": Value(left, words={"bound": bound}),
+        "degrees": math.degrees(constant - lead),
+        "degrees-effect": float(np.abs(misread).max()),
+    }
+
+
+def _platform() -> dict[str, float | Value]:
+    """G of the table, and the simulated lines of heading and roll over the formula."""
+    values: dict[str, float | Value] = {
+        "gravity": 100.0 * (0.222 / (GRAVITY_OF_TABLE * ARCMIN / CASE_RATE) - 1.0)
+    }
+    lines = last_lines(compared(wobble=False), "A")
+    for c in CHANNELS[1:]:
+        theory = formula(c.channel)
+        values[f"{c.channel}-published"] = 100.0 * (c.simulated * c.scale / theory - 1.0)
+        values[f"{c.channel}-ours"] = 100.0 * (lines[c.channel] / theory - 1.0)
+    return values
+
+
+# -- the whole reproduction ------------------------------------------------------------------------------
 
 CHAPTERS: dict[str, Callable[[], Chapter]] = {
     "constant-input": constant.examples,
@@ -36,7 +116,7 @@ CHAPTERS: dict[str, Callable[[], Chapter]] = {
     "drift-coupling": platform.coupling,
     "ten-days": platform.ten_days,
     "wobble": platform.wobble,
-    "errata": recursion.errata,
+    "errata": errata,
 }
 """Every chapter by its id, in the order of the publications."""
 
@@ -68,22 +148,6 @@ class Reproduction:
         return {"cases": [case.document() for case in self.cases]}
 
 
-def chosen(only: str | None) -> list[str]:
-    """Ids of the chapters to run: all, or the one given by its id or by one of its cases.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no such chapter.
-    """
-    if only is None:
-        return list(CHAPTERS)
-    name = only.partition(".")[0]
-    if name not in CHAPTERS:
-        raise ArgumentError(f"--only: there is no '{only}'", remedy=f"one of: {', '.join(CHAPTERS)}")
-    return [name]
-
-
 def reproduce(only: str | None = None, *, progress: Progress | None = None) -> Reproduction:
     """Run the published cases.
 
@@ -99,7 +163,9 @@ def reproduce(only: str | None = None, *, progress: Progress | None = None) -> R
     ArgumentError
         If there is no such chapter.
     """
-    names = chosen(only)
+    names = list(CHAPTERS) if only is None else [only.partition(".")[0]]
+    if names[0] not in CHAPTERS:
+        raise ArgumentError(f"--only: there is no '{names[0]}'", remedy=f"one of: {', '.join(CHAPTERS)}")
     steps = Steps(progress, len(names))
     chapters: list[Chapter] = []
     for name in names:
@@ -121,37 +187,28 @@ SOURCES = {
 """Publications in the order of the chapters."""
 
 
-def number(value: float | None, digits: int = 6) -> str:
+def _number(value: float | None, digits: int = 6) -> str:
     """A number as the tables print it; a dash where there is none."""
     return "–" if value is None else significant(value, digits)
-
-
-def short_id(case: Case) -> str:
-    """Name of the case without that of its chapter."""
-    return case.id.partition(".")[2]
-
-
-def difference(case: Case) -> str:
-    """Difference with three digits. More digits would be rounding error."""
-    return number(case.difference, 3)
 
 
 def reproduction_page(reproduction: Reproduction) -> Page:
     """All tables and figures on one page, with sections by publication."""
     counts = {verdict: sum(case.verdict == verdict for case in reproduction.cases) for verdict in TONES}
+    of = f"in {len(reproduction.chapters)} chapters, with {len(reproduction.figures)} figures"
     tiles = (
-        Tile("Cases", str(len(reproduction.cases)), detail=f"in {len(reproduction.chapters)} chapters"),
+        Tile("Cases", str(len(reproduction.cases)), detail=of),
         Tile("Agree", str(counts["pass"]), detail="within the tolerance in their note", tone="good"),
         Tile("Disagree", str(counts["fail"]), tone="bad" if counts["fail"] else "good"),
         Tile("For information", str(counts["info"]), detail="no comparable published number", tone="quiet"),
-        Tile("Figures", str(len(reproduction.figures))),
     )
-    sections = [_section(chapter) for chapter in reproduction.chapters]
+    sources = ((f"[{key}]", text) for key, text in SOURCES.items())
+    listed = Section("Sources", "sources", (named_values("key", "publication", sources),))
     return Page(
         title="The published cases, reproduced",
         subtitle="Every number and figure of three publications beside ours, and what they got wrong.",
         tiles=tiles,
-        sections=(*sections, _sources()),
+        sections=(*map(_section, reproduction.chapters), listed),
         kicker="piga · reproduction",
         footer=f"Made by piga {reproduction.version}; every computed number comes from this run.",
     )
@@ -167,12 +224,12 @@ def _section(chapter: Chapter) -> Section:
 def _numbers(chapter: Chapter) -> Table:
     return (
         TableOf(chapter.cases)
-        .text("case", short_id)
+        .text("case", lambda case: case.id.partition(".")[2])
         .text("quantity", lambda case: case.quantity)
-        .number("published", lambda case: number(case.published))
-        .number("computed", lambda case: number(case.computed))
-        .number("difference", difference)
-        .number("tolerance", lambda case: number(case.tolerance, 2))
+        .number("published", lambda case: _number(case.published))
+        .number("computed", lambda case: _number(case.computed))
+        .number("difference", lambda case: _number(case.difference, 3))
+        .number("tolerance", lambda case: _number(case.tolerance, 2))
         .text("unit", lambda case: pretty_unit(case.unit))
         .text("verdict", lambda case: Cell(case.verdict, TONES[case.verdict]))
         .table("Published, computed, judged.")
@@ -182,16 +239,11 @@ def _numbers(chapter: Chapter) -> Table:
 def _notes(chapter: Chapter) -> Table:
     return (
         TableOf(chapter.cases)
-        .text("case", short_id)
+        .text("case", lambda case: case.id.partition(".")[2])
         .text("source", lambda case: case.source)
         .text("why this tolerance, or none", lambda case: case.note)
         .table("Sources and tolerances.")
     )
-
-
-def _sources() -> Section:
-    rows = ((f"[{key}]", text) for key, text in SOURCES.items())
-    return Section("Sources", "sources", (named_values("key", "publication", rows),))
 
 
 def brief(reproduction: Reproduction) -> Page:

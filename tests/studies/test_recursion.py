@@ -7,7 +7,7 @@ import pytest
 
 import piga
 from piga.studies import published_recursion
-from piga.studies.case import model_residual, record
+from piga.studies.recursion import model_residual, record
 from piga.units import G0
 
 
