@@ -56,7 +56,7 @@ _COUNTED_RECORDS = 24
 _STEP = 1e-6
 """Change of a coefficient [SI] by which the internal parameters are turned into those of the file."""
 _SAMPLES = 1 << 18
-"""Most samples of a record of candidates, moves counted: more candidates are simulated in several records."""
+"""Most samples of a record of candidates, moves counted: more are in several records, which need little memory."""
 _PlannedStand = DividingHeadTable | CentrifugeTable | RateTableTable
 """Stands whose positions or levels can be chosen one by one."""
 _TIMELY = ("k0_t", *LOGGED_TERMS)
@@ -134,10 +134,8 @@ class PlanRequest(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Coefficients common to all positions; ``phi`` follows tan_beta if it is common."""
-        names: list[str] = []
-        for name in self.model.terms:
-            names += [name, "phi"] if name == "tan_beta" and self.model.phases == "shared" else [name]
-        return tuple(names)
+        phase = {"tan_beta": ("tan_beta", "phi")} if self.model.phases == "shared" else {}
+        return tuple(name for term in self.model.terms for name in phase.get(term, (term,)))
 
     def whole_samples(self, dwell: float) -> float:
         """The dwell [s], cut to whole samples."""
@@ -414,10 +412,7 @@ def information_tables(request: PlanRequest, candidates: tuple[Candidate, ...], 
 
 
 def _reduced_tests(request: PlanRequest, candidates: tuple[Candidate, ...], dwells: Array) -> list[RunSummary]:
-    """Summary of a noiseless test of all candidates for each of the ``dwells``: the longest, cut to the shorter ones.
-
-    It is in several records, so that many candidates need little memory.
-    """
+    """Summary of a noiseless test of all candidates for each of the ``dwells``: the longest, cut to the shorter ones."""
     interval, longest = request.scenario.electronics.interval, float(dwells[-1])
     records = math.ceil(len(candidates) * (longest + request.move) / interval / _SAMPLES)
     parts = []

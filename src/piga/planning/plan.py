@@ -54,11 +54,9 @@ _STANDARD = (4, 6, 12, 24)
 class Plan(Reported, Plotted, Result):
     """A planned test and its comparison plans.
 
-    ``plot()`` shows chosen positions and the time in each: two panels.
-
-    ``usable`` candidates keep the margin from the lock zone. ``efficiency`` is the ratio of variances between the lower bound and
-    the plan, at most 1. ``cheapest`` is the shortest test found that reaches the wanted uncertainties; no test of these
-    candidates is shorter than ``shortest`` [s].
+    ``plot()`` shows chosen positions and the time in each: two panels. ``usable`` candidates keep the margin from the lock
+    zone. ``efficiency`` is the ratio of variances between the lower bound and the plan, at most 1. ``cheapest`` is the shortest
+    test found that reaches the wanted uncertainties; no test of these candidates is shorter than ``shortest`` [s].
     """
 
     request: PlanRequest

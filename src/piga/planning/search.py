@@ -225,8 +225,8 @@ class Search:
         for name, wanted in request.wanted.items():
             by_stand = best.uncertainty(name)[1]
             if by_stand >= wanted:
-                added = f"{by_stand:.2g} {unit_of(name, request.unit)} to {name}"
-                refusal = f"the stand alone adds {added}: {wanted:.2g} cannot be reached in any time"
+                added = f"the stand alone adds {by_stand:.2g} {unit_of(name, request.unit)} to {name}"
+                refusal = f"{added}: {wanted:.2g} cannot be reached in any time"
                 return math.inf, Prediction("cheapest", (), math.inf, refusal=refusal)
             targets[name] = math.sqrt(wanted**2 - by_stand**2)
         search = replace(self, criterion=_criterion(request, self.scale, "wanted", targets))
@@ -238,9 +238,8 @@ class Search:
             if ratio <= 1.0:
                 return max(bound, 0.0), plan
             duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
-        return bound, replace(
-            plan, refusal="no test was found that reaches it: add positions or allow longer dwells"
-        )
+        refusal = "no test was found that reaches it: add positions or allow longer dwells"
+        return bound, replace(plan, refusal=refusal)
 
     def _test(self, name: str, duration: float) -> Prediction:
         """The best test of this duration [s] that the calibration does not refuse, of several numbers of pairs."""
