@@ -22,9 +22,10 @@ def campaign_page(collected: Collected) -> Page:
     judged = [result for result in collected.groups if _has_truth(result)]
     plain = [result for result in collected.groups if result.coefficients and not _has_truth(result)]
     seen = [result for result in collected.groups if result.seen]
+    figure: list[Content] = [_LEAD, _coverage_figure(judged)] if judged else []
     sections: list[tuple[str, str, Sequence[Content]]] = [
         ("Judgement", "judgement", judgement(collected)),
-        ("Intervals", "intervals", _intervals(judged) if judged else []),
+        ("Intervals", "intervals", [*figure, *_tables(judged, _interval_table)]),
         ("Results", "results", _tables(plain, _plain_table)),
         ("What the calibrations report", "seen", [_seen_table(seen)] if seen else []),
         ("Worst cases", "worst", [_worst_table(collected)] if collected.worst else []),
@@ -91,10 +92,6 @@ _LEAD = (
 )
 
 
-def _intervals(judged: list[GroupResult]) -> list[Content]:
-    return [_LEAD, _coverage_figure(judged), *_tables(judged, _interval_table)]
-
-
 def _tables(results: list[GroupResult], table: Callable[[GroupResult], Table]) -> list[Content]:
     blocks: list[Content] = [table(result) for result in results[:_GROUPS]]
     if len(results) > _GROUPS:
@@ -148,13 +145,9 @@ def _seen_table(results: list[GroupResult]) -> Table:
         TableOf(results)
         .text("Group", lambda result: result.label)
         .number("Records", lambda result: str(result.records))
-        .across(names, str, lambda result, name: _or_dash(result.seen.get(name), _percent), lambda _: "%")
+        .across(names, str, lambda result, name: f"{100 * result.seen.get(name, 0.0):.1f}", lambda _: "%")
         .table(notes=("Share of the records with this noise in the result, or this term suggested.",))
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
 
 
 def _worst_table(collected: Collected) -> Table:
