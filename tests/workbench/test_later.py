@@ -41,12 +41,6 @@ def test_entries_of_the_example_are_nobodys_own(bench: Bench, kept: Kept, tmp_pa
     assert (own["laboratory.name"], own["laboratory.street"], own["item.serial"]) == ("", "3 Pier", "tumble-a")
 
 
-def test_a_number_is_used_once(bench: Bench, kept: Kept, tmp_path: Path) -> None:
-    first = _own(bench, kept)[2]["certificate.number"]
-    (tmp_path / f"certificate-{first}").mkdir()
-    assert _own(bench, kept)[2]["certificate.number"] != first
-
-
 def test_what_is_typed_is_what_the_file_says_and_other_entries_stay(
     bench: Bench, kept: Kept, tmp_path: Path
 ) -> None:

@@ -119,3 +119,10 @@ def test_a_pair_of_terms_needs_both(client: Client) -> None:
     page = client.page(f"/record/{NAME}?term=scale_factor&term=s1")
     assert "No answer" in page
     assert 'value="c1"' in page or "c1" in page
+
+
+@pytest.mark.long
+def test_not_the_whole_record_is_left_out(client: Client) -> None:
+    client.until(f"/record/{NAME}", lambda text: "data-drawn" in text)
+    status, _, body = client.post(f"/record/{NAME}", {"do": "leave", "from": "0", "to": "1e9", "reason": "all"})
+    assert (status, b"these are all rows of the record" in body) == (422, True)

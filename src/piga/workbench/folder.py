@@ -214,8 +214,8 @@ class Folder:
         records |= {path: Entry(self.name(path), "log", log=path.name) for path in logs}
         entries = []
         for path, entry in records.items():
-            mine = tuple(one for one in kept if one.record == self.name(results_of(path)))
-            data, more = path.parent / entry.log, dict[str, Any]()
+            place, data, more = self.name(results_of(path)), path.parent / entry.log, dict[str, Any]()
+            mine = tuple(one for one in kept if one.record == place)
             if entry.log and _is_regular(data):
                 more = {"changed": data.stat().st_mtime}
             elif entry.state == "ready":
