@@ -55,8 +55,6 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArra
     with _room(), tempfile.TemporaryFile(dir=folder()) as stream:
         if hasattr(os, "posix_fallocate"):  # now: a write to mapped memory cannot report a full disk
             os.posix_fallocate(stream.fileno(), 0, size)
-        else:
-            stream.truncate(size)
         return np.asarray(np.memmap(stream, dtype, "r+", shape=shape))
 
 

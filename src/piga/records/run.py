@@ -28,7 +28,7 @@ from piga.records.run_file import (
     refuse,
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
-from piga.results import Array, Column, Plotted, Reported, Result, Tabular
+from piga.results import Array, Column, Plotted, Reported, Result, Tabular, first_lines
 from piga.terms import LOGGED_TERMS
 from piga.text_files import convert_table
 from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text
@@ -170,17 +170,15 @@ class Run(Result, Plotted, Reported, Tabular):
 
     def in_brief(self) -> list[tuple[str, str]]:
         """What a notebook shows of the record."""
-        named = f"{', '.join(self.labels[:8])}{', ...' if len(self.labels) > 8 else ''}"
-        rate, heat = self.base_rate is not None, self.temperature is not None
-        beside = ["base rate"] * rate + ["temperature"] * heat
+        findings = ", ".join(f"{event.count} {event.kind}" for event in self.quality.events)
+        logged = [name.replace("_", " ") for name in _UNITS if name != "f" and getattr(self, name) is not None]
         return [
-            ("instrument", self.serial or "not named"),
-            ("scale_factor", f"{self.scale_factor * G0:.6g} {self.unit}/g, nominal"),
+            ("instrument", f"{self.serial or 'not named'}, {self.scale_factor * G0:.6g} {self.unit}/g nominal"),
             ("samples", f"{self.size} of {self.quality.rows} rows; output is the {self.quantity}"),
             ("time", f"{self.t[0]:.6g} to {self.t[-1]:.6g} s, {self.duration:.6g} s recorded"),
-            ("segments", f"{len(self.labels)}: {named}"),
-            ("beside force", ", ".join(beside) or "nothing"),
-            ("findings", ", ".join(f"{event.count} {event.kind}" for event in self.quality.events) or "none"),
+            ("segments", f"{len(self.labels)}: {', '.join(first_lines(list(self.labels), 9))}"),
+            ("beside force", ", ".join(logged) or "nothing"),
+            ("findings", findings or "none"),
             ("terms", " ".join(self.model.terms)),
         ]
 

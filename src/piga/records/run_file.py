@@ -490,19 +490,11 @@ def refuse(faults: _Faults) -> None:
 
 def _faults(run_file: RunFile) -> _Faults:
     """Faults of a run file, those of its output first. Units of a wrong kind raise."""
-    data, instrument, model = run_file.data, run_file.instrument, run_file.model
+    data, instrument, model, noise = run_file.data, run_file.instrument, run_file.model, run_file.estimation
     yield from _faults_of_output(run_file)
-    if (data.time is None) == (data.sample_rate is None):
-        yield "[data] needs either time or sample_rate", "e.g. time = { column = 't_s', unit = 's' }"
-    if data.decimal is not None and data.decimal == data.delimiter:
-        yield "[data] decimal and delimiter are the same character", "correct one of them"
+    yield from _faults_of_columns(data)
     if instrument.servo is not None:
         instrument.servo.parameters()
-    if data.time is not None and (data.time.unit is None) == (data.time.stamp is None):
-        remedy = "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps"
-        yield "[data] time: give either unit or stamp", remedy
-    if data.time is not None and data.time.unit is not None:
-        conversion_factor(data.time.unit, "s", what="[data] time")
     run_file.uncertainty.in_si("[uncertainty] ")
     yield from faults_of_waived(run_file.uncertainty)
     model.in_si("[model] ")
@@ -516,12 +508,38 @@ def _faults(run_file: RunFile) -> _Faults:
             yield f"{key}: must be positive", f"use a positive value; {remedy}"
     if timing.get("settle", 0.0) < 0.0:
         yield "[data] settle: must be zero or more", "e.g. '20 s'"
-    yield from _faults_of_noise(run_file)
+    count, rms, walk = integral_unit(run_file.unit), noise.angle_rms, noise.angle_random_walk
+    for name, level, like in (("angle_rms", rms, count), ("angle_random_walk", walk, f"{count}/sqrt(s)")):
+        if level is not None and to_si(level, like, what=f"[estimation] {name}") < 0.0:
+            yield f"[estimation] {name}: '{level}' is negative", "give a standard deviation"
+    if (rms is None) != (walk is None):
+        words = "[estimation] angle_rms and angle_random_walk: one of them is missing"
+        yield words, "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise"
     stated = run_file.uncertainty.of_the_stand()
     if stated and run_file.stand is None:
         words = f"[uncertainty] {next(iter(stated))}: belongs to a stand, but there is no [stand] table"
         yield words, "add [stand] kind = '...', latitude = '...' and its positions or levels"
-    yield from _faults_of_rows(data)
+
+
+def _faults_of_columns(data: DataTable) -> _Faults:
+    numbers, time = data.number_columns(), data.time
+    if (time is None) == (data.sample_rate is None):
+        yield "[data] needs either time or sample_rate", "e.g. time = { column = 't_s', unit = 's' }"
+    if time is not None and (time.unit is None) == (time.stamp is None):
+        remedy = "unit = 's' for numbers, stamp = 'iso' or 'DD.MM.YYYY hh:mm:ss.f' for time stamps"
+        yield "[data] time: give either unit or stamp", remedy
+    if time is not None and time.unit is not None:
+        conversion_factor(time.unit, "s", what="[data] time")
+    if data.decimal is not None and data.decimal == data.delimiter:
+        yield "[data] decimal and delimiter are the same character", "correct one of them"
+    for name, (low, high) in (data.range or {}).items():
+        if name not in numbers:
+            yield f"[data] range: '{name}' is not a column in use", f"columns are: {', '.join(numbers)}"
+        if not low < high:
+            yield f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them"
+    if data.label_column in numbers:
+        words = f"[data] segment: '{data.segment}' is a number column that is in use already"
+        yield words, "name another column for the segments"
 
 
 def _faults_of_output(run_file: RunFile) -> _Faults:
@@ -569,17 +587,6 @@ def check_direct_unit(unit: str, what: str) -> None:
         raise RunFileError(words, remedy=remedy)
 
 
-def _faults_of_noise(run_file: RunFile) -> _Faults:
-    noise, count = run_file.estimation, integral_unit(run_file.unit)
-    rms, walk = noise.angle_rms, noise.angle_random_walk
-    for name, value, like in (("angle_rms", rms, count), ("angle_random_walk", walk, f"{count}/sqrt(s)")):
-        if value is not None and to_si(value, like, what=f"[estimation] {name}") < 0.0:
-            yield f"[estimation] {name}: '{value}' is negative", "give a standard deviation"
-    if (rms is None) != (walk is None):
-        words = "[estimation] angle_rms and angle_random_walk: one of them is missing"
-        yield words, "add the other one; write '0 rad' or '0 rad/sqrt(s)' if there is no such noise"
-
-
 ASSUMED_SOURCES = ("earth_rate", "height", "servo")
 """Sources with a size that piga assumes if nobody states it. They can be waived, too."""
 
@@ -595,15 +602,3 @@ def faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:
             yield f"{where}: '{name}' is stated too", "leave one of the two out"
         if not reason.strip() or len(reason.splitlines()) != 1:
             yield f"{where}: '{name}' needs a reason in one line", f'e.g. waived = {{ {name} = "why" }}'
-
-
-def _faults_of_rows(data: DataTable) -> _Faults:
-    numbers = data.number_columns()
-    for name, (low, high) in (data.range or {}).items():
-        if name not in numbers:
-            yield f"[data] range: '{name}' is not a column in use", f"columns are: {', '.join(numbers)}"
-        if not low < high:
-            yield f"[data] range: '{name}': {low:g} is not below {high:g}", "swap them"
-    if data.label_column in numbers:
-        words = f"[data] segment: '{data.segment}' is a number column that is in use already"
-        yield words, "name another column for the segments"

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.terms import meaning_of, si_factor, si_unit_of, unit_of
+from piga.records.terms import si_factor, si_unit_of, unit_of
 from piga.results import ByValue, Column, Result, Shown, Tabular, columns_of
 
 PROBABILITY = 0.95
@@ -32,27 +32,19 @@ Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
 Level = Annotated[float, Meta(ge=0.0, le=1e100)]
 """A non-negative number, such as a standard uncertainty, a noise level or a largest residual."""
 
-_SourceStatus = Literal["stated", "bounded", "waived", "assumed", "unstated"]
-
 
 @dataclass(frozen=True)
 class StandSource:
-    """A source of Type B that exists on the stand of a record, and what one unit of it does.
+    """A source of Type B that exists on the stand of a record, by its key in ``[uncertainty]`` or ``[uncertainty] waived``.
 
-    Attributes
-    ----------
-    name, status:
-        Its key in ``[uncertainty]`` or in ``[uncertainty] waived``. ``bounded``: not stated, and in the budget with what the
-        record does not exclude. ``assumed``: not stated, and in the budget with a size that piga assumes.
-    unit, effects:
-        Change of each coefficient (file unit) by one ``unit`` of each component, by component and coefficient. Empty
-        for a stated source: its row of the budget has its sensitivities.
-    reason:
-        Why it was waived, or the size that is bounded or assumed.
+    ``bounded``: not stated, and in the budget with what the record does not exclude. ``assumed``: not stated, and in the budget
+    with a size that piga assumes. ``effects`` are changes of each coefficient (file unit) by one ``unit``, by component and
+    coefficient; empty for a stated source: its row of the budget has its sensitivities. ``reason``: why it was waived, or the
+    size that is bounded or assumed.
     """
 
     name: str
-    status: _SourceStatus
+    status: Literal["stated", "bounded", "waived", "assumed", "unstated"]
     unit: str = "1"
     effects: dict[str, dict[str, Number]] = field(default_factory=dict)
     reason: str = ""
@@ -179,19 +171,11 @@ class Coefficient(ByValue, Shown):
         """Ends of the 95 % coverage interval: value -+ U, or the Monte Carlo interval."""
         return self.interval or (self.value - self.expanded, self.value + self.expanded)
 
-    def heading(self) -> str:
-        """Key and meaning."""
-        return f"{self.key}: {meaning_of(self.name)}"
-
     def in_brief(self) -> list[tuple[str, str]]:
-        """Value, uncertainty and interval in words."""
+        """Value with standard uncertainty, and 95 % interval."""
         low, high = self.limits
-        return [
-            ("value", f"{self.value:.9g} {self.unit}"),
-            ("standard uncertainty", f"{self.std:.3g} {self.unit}"),
-            ("95 % interval", f"{low:.9g} to {high:.9g} {self.unit}"),
-            ("in SI", f"{self.value_si!r} +- {self.std_si:.2g} {self.unit_si}"),
-        ]
+        value = f"{self.value:.9g} +- {self.std:.3g} {self.unit}"
+        return [(self.key, value), ("95 % interval", f"{low:.9g} to {high:.9g} {self.unit}")]
 
 
 def short_way(turn: ArrayLike) -> NDArray[np.float64]:
@@ -224,20 +208,11 @@ class Amount:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class BudgetEntry(Result):
-    """One source of the uncertainty budget.
+    """One source of the uncertainty budget. ``standard_uncertainty`` is its size; None if it has no size of its own.
 
-    Attributes
-    ----------
-    source, type, distribution:
-        Name, type (A or B) and distribution.
-    standard_uncertainty:
-        Size of the source; None if it has no size of its own.
-    degrees_of_freedom:
-        Degrees of freedom of the standard uncertainty. None if it is known exactly, or if each coefficient has its own (Type A).
-    contributions:
-        Change of each coefficient, by key and in its unit, for one standard uncertainty of the source.
-    sensitivities:
-        Change of each coefficient for one unit of the source (JCGM 100, 5.1.3); empty if the source has no size.
+    ``degrees_of_freedom`` are None if the size is known exactly, or if each coefficient has its own (Type A). ``contributions``
+    are changes of each coefficient, by key and in its unit, for one standard uncertainty of the source; ``sensitivities``
+    for one unit of it (JCGM 100, 5.1.3), empty if it has no size.
     """
 
     source: str
@@ -279,10 +254,6 @@ class BudgetTable(Result, Tabular):
 
     def __getitem__(self, index: int) -> BudgetEntry:
         return self.entries[index]
-
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return "Uncertainty budget"
 
     def in_brief(self) -> list[tuple[str, str]]:
         """Sources with type and distribution."""

@@ -181,16 +181,10 @@ class MonteCarlo(Result):
 class MissingTerm(Result):
     """A term that is not in the model, but whose signature is in the residuals. It is not applied.
 
-    Attributes
-    ----------
-    terms, estimate, standard_uncertainty, unit:
-        One entry for each term. A pair that turns with the output has two.
-    chi2_fall, probability:
-        Relative fall of the sum of squares with the term, and the probability of such a fall by chance.
-    largest_shift, coefficient:
-        Largest change of a coefficient, in its standard uncertainties, and the name of that coefficient.
-    alike:
-        Other candidates that explain nearly as much.
+    A pair that turns with the output has two entries in ``terms``, ``estimate``, ``standard_uncertainty`` and ``unit``.
+    ``chi2_fall`` is the relative fall of the sum of squares with the term, ``probability`` that of such a fall by chance.
+    ``largest_shift`` is the change, in standard uncertainties, of the ``coefficient`` that changes most. ``alike``: other
+    candidates that explain nearly as much.
     """
 
     terms: tuple[str, ...]
@@ -206,22 +200,13 @@ class MissingTerm(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Creep(Result):
-    """A bias that decays after each move, ``size exp(-t / time_constant)`` at the time t since the start of the position.
+    """A bias that decays after each move, ``size exp(-t / time_constant)`` at the time t [s] since the start of the position.
 
-    Attributes
-    ----------
-    size, standard_uncertainty:
-        Bias at the start of a position [g]. With ``by_move`` it is proportional to the change of a_x by the move, and this
-        is its size for 1 g.
-    time_constant:
-        The likeliest of a few [s].
-    probability:
-        Probability of such a creep by chance, for all sizes and times that were tried.
-    shift:
-        Change of each coefficient if the creep is taken out, in its standard uncertainties.
-    time, mean, band:
-        Residual rate over K [g], less that of its position, stacked by the time [s] since the start of the position: mean over
-        the positions, and half width of the 95 % interval by their scatter.
+    ``size`` is the bias at the start [g]. With ``by_move`` it is proportional to the change of a_x by the move, and this is its
+    size for 1 g. ``time_constant`` is the likeliest of a few [s], ``probability`` that of such a creep by chance, for all sizes
+    and times that were tried. ``shift`` is the change of each coefficient without the creep, in its standard uncertainties.
+    ``mean`` is the residual rate over K [g], less that of its position, at ``time`` [s] since the start, over the positions;
+    ``band`` the half width of its 95 % interval by their scatter.
     """
 
     size: Number
@@ -271,23 +256,11 @@ class SegmentScatter:
 class Diagnostics(Result, SegmentScatter):
     """Diagnostics of model and data. An entry without a result is None or empty.
 
-    Attributes
-    ----------
-    residual_kind, range:
-        Kind of residuals (angle or rate; count of a direct instrument); range in which the calibration holds: ``a_x``, ``a_t``
-        [m/s^2], ``temperature`` [K].
-    samples, variance, lag1_correlation, ljung_box, ljung_box_lags, ljung_box_probability, skewness, excess_kurtosis, verdict:
-        Tests of the whitened residual; the verdict is "white", or says that it is not, or not tested.
-    leverage:
-        Leverage of each segment, by label.
-    advice, missing_terms:
-        Other interpretations of the data that fit far better, in words; missing terms that the residuals show, best first.
-    creep:
-        The likeliest creep after a move, seen or not; None if it was not tested.
-    monte_carlo:
-        Comparison of Monte Carlo and first-order propagation.
-    model_comparison:
-        Comparison of sets of terms, as :meth:`piga.calibration.ModelComparison.document` gives it.
+    ``residual_kind`` is angle or rate; count of a direct instrument. ``range`` is that in which the calibration holds: ``a_x``,
+    ``a_t`` [m/s^2], ``temperature`` [K]. ``samples`` to ``verdict`` are tests of the whitened residual; the verdict is "white",
+    or says that it is not, or not tested. ``leverage`` is that of each segment, by label. ``advice`` are other interpretations
+    of the data that fit far better. ``missing_terms`` are those that the residuals show, best first. ``creep`` is the likeliest
+    after a move, seen or not. ``model_comparison`` is that of :meth:`piga.calibration.ModelComparison.document`.
     """
 
     residual_kind: Literal["angle", "rate", "count"] = "angle"

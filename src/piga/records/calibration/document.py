@@ -21,6 +21,7 @@ from piga.records.calibration.calibration import At, Calibration
 from piga.records.calibration.coefficient import BudgetEntry, Coefficient
 from piga.records.run_file import Method, Phases, PhaseSource
 from piga.records.terms import GYRO, check_name, integral_unit, si_factor, turns, unit_of
+from piga.results import finite
 from piga.text_files import JsonError, check_label, converted, json_object, read_whole
 from piga.units import conversion_factor, parse_unit
 
@@ -86,7 +87,7 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
     values = {field: getattr(c, field) for field in _PLACES}
     values["scale_factor_nominal"] /= si_factor("scale_factor")
     values |= {
-        "condition": c.condition if math.isfinite(c.condition) else None,
+        "condition": finite(c.condition),
         "coefficients": [_stated(k) for k in c.coefficients],
         "covariance": {"names": list(c), "matrix": c.covariance.tolist()},
         "diagnostics": {k: v for k, v in asdict(c.diagnostics).items() if v not in (None, {}, ())},
@@ -103,13 +104,11 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         if field == "remarks":
             document["verdict"] = c.verdict.document()
     plain: dict[str, Any] = msgspec.to_builtins(document, enc_hook=float)
-    for key, entries in (
-        ("sensitivities", plain["uncertainty_budget"]),
-        ("turns", plain["segments"] if c.direct else ()),
-    ):
-        for entry in entries:
-            if not entry.get(key):
-                entry.pop(key, None)
+    for row in plain["uncertainty_budget"]:
+        if not row["sensitivities"]:
+            del row["sensitivities"]
+    for segment in plain["segments"] if c.direct else ():
+        segment.pop("turns", None)
     for run in plain.get("runs", ()):
         for key in list(run):  # in order
             run["phase" if key == "phases" else key] = run.pop(key)
@@ -121,7 +120,7 @@ def _stated(c: Coefficient) -> dict[str, Any]:
     stated: dict[str, Any] = {"name": c.name, "value": c.value, "std": c.std, "unit": c.unit}
     stated |= {"segment": c.segment} if c.name == "phi" or c.segment is not None else {}
     stated |= {} if c.run is None else {"run": c.run}
-    stated["degrees_of_freedom"] = c.degrees_of_freedom if math.isfinite(c.degrees_of_freedom) else None
+    stated["degrees_of_freedom"] = finite(c.degrees_of_freedom)
     if c.interval is not None:
         return stated | {"expanded": c.expanded, "interval": list(c.interval)}
     return stated | {"coverage_factor": c.coverage_factor, "expanded": c.expanded}
