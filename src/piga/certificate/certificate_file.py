@@ -21,7 +21,7 @@ from piga.errors import UnitError
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import TomlTable
-from piga.records.terms import SERVO_TERMS, meaning_of
+from piga.records.terms import SERVO_TERMS, term_words
 from piga.text_files import read_toml
 from piga.units import to_si, written_quantity
 
@@ -398,7 +398,7 @@ def limits_in_file_units(unit: str, pair: tuple[str, str]) -> tuple[float, float
 
 def title_of(c: Coefficient) -> str:
     """Heading of a coefficient's result."""
-    words = meaning_of(c.name)
+    words = term_words(c.name).meaning
     where = "" if c.segment is None else f", segment {c.segment}"
     return f"{words[:1].upper()}{words[1:]}{where}"
 

@@ -25,7 +25,7 @@ from piga.data import example_files
 from piga.errors import CalibrationError
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
-from piga.records.terms import meaning_of, shown_unit
+from piga.records.terms import shown_unit, term_words
 from piga.reports.calibration.tables import (
     DESCRIBED,
     budget_table,
@@ -213,7 +213,7 @@ def _result_table(calibration: Calibration, caption: str) -> Table:
     return (
         TableOf(common_coefficients(calibration))
         .text("Coefficient", lambda c: c.name)
-        .text("Meaning", lambda c: meaning_of(c.name))
+        .text("Meaning", lambda c: term_words(c.name).meaning)
         .number("Value", lambda c: number(c).value if c.determined else "not determined")
         .number("U (95 %)", known(lambda c: number(c).uncertainty, "given"))
         .text("Unit", lambda c: pretty_unit(shown_unit(c.name, c.unit)[1] if c.determined else c.unit) or "1")

@@ -37,6 +37,11 @@ from piga.upper import doors
 if TYPE_CHECKING:
     from types import ModuleType
 
+_LONG_INTERVAL = 1.5
+"""A step longer than this many nominal steps is a gap."""
+_UNITS = {"f": "m/s^2", "base_rate": "rad/s", "temperature": "K", "vibration": "m/s^2"}
+"""SI unit of the arrays beside the output."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Result, Plotted, Reported, Tabular):
@@ -124,9 +129,7 @@ class Run(Result, Plotted, Reported, Tabular):
     @property
     def quantity(self) -> Literal["angle", "rate", "count"]:
         """What the output is."""
-        if self.kind == "rate":
-            return "rate"
-        return "count" if self.direct else "angle"
+        return "rate" if self.kind == "rate" else "count" if self.direct else "angle"
 
     @property
     def size(self) -> int:
@@ -164,12 +167,8 @@ class Run(Result, Plotted, Reported, Tabular):
     def _subject(self) -> ModuleType:
         return doors().shown_record()
 
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return f"Record of {self.serial or 'an instrument'}"
-
     def in_brief(self) -> list[tuple[str, str]]:
-        """What a notebook shows of the record."""
+        """What ``repr`` shows of the record."""
         findings = ", ".join(f"{event.count} {event.kind}" for event in self.quality.events)
         logged = [name.replace("_", " ") for name in _UNITS if name != "f" and getattr(self, name) is not None]
         return [
@@ -353,15 +352,6 @@ class Run(Result, Plotted, Reported, Tabular):
             If the description is not valid.
         DataError
             If the columns do not hold what it says. The message names row, column and remedy.
-
-        Examples
-        --------
-        >>> import numpy as np, piga
-        >>> table = {"t": np.arange(4.0), "turns": [0.0, 0.2, 0.4, 0.6], "fx": [1.0] * 4, "fy": [0.0] * 4, "fz": [0.0] * 4}
-        >>> units = {"turns": "rev", "fx": "g", "fy": "g", "fz": "g"}
-        >>> run = piga.Run.from_dataframe(table, output="turns", units=units, scale_factor="0.8884 rad/s/g")
-        >>> run.size, round(float(run.f[0, 0]), 5)
-        (4, 9.80665)
         """
         si = units == "SI"
         described = {
@@ -410,11 +400,9 @@ class Run(Result, Plotted, Reported, Tabular):
             If no name is given, or there is no such segment.
         """
         known = f"segments: {', '.join(map(repr, self.labels[:40]))}{', ...' if len(self.labels) > 40 else ''}"
-        if not labels:
-            raise ArgumentError("segment: no name is given", remedy=known)
-        for label in labels:
-            if label not in self.labels:
-                raise ArgumentError(f"segment: there is no segment {label!r}", remedy=known)
+        strange = [f"there is no segment {label!r}" for label in labels if label not in self.labels]
+        if strange or not labels:
+            raise ArgumentError(f"segment: {'; '.join(strange) or 'no name is given'}", remedy=known)
         wanted = np.isin(self.segment_index, [self.labels.index(label) for label in labels])
         return self._cut(wanted, f"segments {', '.join(labels)}")
 
@@ -463,10 +451,6 @@ class Run(Result, Plotted, Reported, Tabular):
         )
 
 
-_UNITS = {"f": "m/s^2", "base_rate": "rad/s", "temperature": "K", "vibration": "m/s^2"}
-"""SI unit of the arrays beside the output."""
-
-
 def _told(value: float | str | None, unit: str, si: bool) -> float | str | None:
     """A plain number as text with its unit, if numbers are SI."""
     return value if value is None or isinstance(value, str) or not si else f"{float(value)!r} {unit}"
@@ -482,12 +466,10 @@ def _in_si(name: str, values: ArrayLike, units: Mapping[str, str], like: str) ->
 
 def _segments(segment: ArrayLike | None, size: int) -> tuple[NDArray[np.int32], tuple[str, ...]]:
     given = np.zeros(size, np.int32) if segment is None else np.asarray(segment)
-    if given.dtype.kind in "OUS":
-        places: dict[str, int] = {}
-        codes = [places.setdefault(str(name), len(places)) for name in given]
-        return segments_of_visits(np.array(codes, dtype=np.int32), list(places))
-    names, index = np.unique(given, return_inverse=True)
-    return index.astype(np.int32).reshape(given.shape), tuple(map(str, names))
+    named = given.dtype.kind in "OUS"
+    labels, codes = np.unique(given.astype(str) if named else given, return_inverse=True)
+    index, names = codes.astype(np.int32).reshape(given.shape), tuple(map(str, labels))
+    return segments_of_visits(index, names) if named else (index, names)
 
 
 def segments_of_visits(
@@ -515,8 +497,7 @@ def _wrong_arrays(
     if kind not in ("angle", "rate"):
         yield f"kind: '{kind}' is neither 'angle' nor 'rate'", "turn counts into an angle first"
     if t.ndim != 1 or t.size < 2:
-        words = f"t: shape {t.shape}, needs at least two samples in one dimension"
-        yield words, "give two or more times, in one dimension"
+        yield f"t: shape {t.shape}, needs at least two samples in one dimension", "give two or more times"
     for name, array in (arrays | {"segment": segment, "gaps": gaps}).items():
         shape = (t.size, 3) if name in ("f", "base_rate") else (t.size,)
         if array.shape != shape:
@@ -527,10 +508,6 @@ def _wrong_arrays(
     back = 1 + np.flatnonzero((np.diff(segment) == 0) & (np.diff(t) <= 0.0))
     if back.size:
         yield f"t[{back[0]}] = {t[back[0]]!r} is not after t[{back[0] - 1}]", "sort by time"
-
-
-_LONG_INTERVAL = 1.5
-"""A step longer than this many nominal steps is a gap."""
 
 
 def begins_stretch(step: Array, nominal: float) -> NDArray[np.bool_]:

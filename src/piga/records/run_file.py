@@ -21,9 +21,14 @@ from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
 from piga.text_files import check_label, convert_toml, si_unit, toml_document
 from piga.units import conversion_factor, parse_unit, to_si
 
+GRAVITY_NORM = "gravity-norm"
+"""Value of ``[data] reference`` in the run file of a set of accelerometers: the size of gravity is its reference."""
+ASSUMED_SOURCES = ("earth_rate", "height", "servo")
+"""Sources with a size that piga assumes if nobody states it. They can be waived, too."""
+_Faults = Iterator[tuple[str, str]]
+"""What is wrong, and the remedy."""
 Quantity = str | float | int
 """Text with a unit, or a number in SI."""
-
 Shape = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
 
 _DIVISORS = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
@@ -122,9 +127,8 @@ class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error."""
 
     def in_si(self, where: str) -> dict[str, Any]:
-        """SI values of the keys whose type has a unit (:func:`in_unit`). Keys without a value are left out.
+        """SI values of the keys with a unit (:func:`in_unit`) and a value: of a list a tuple, of a column the factor of its unit.
 
-        A list with one unit gives a tuple, a column the factor of its unit.
         ``where`` stands before the key in messages, e.g. ``"[stand] "``.
         """
         given = {key: (getattr(self, key), unit) for key, unit in units_of(type(self)).items()}
@@ -350,10 +354,9 @@ class EstimationTable(TomlTable, frozen=True):
 class UncertaintyTable(TomlTable, frozen=True):
     """``[uncertainty]``: Type B standard uncertainties of the reference, the clock and the stand.
 
-    A string is the standard uncertainty of a normal distribution. :class:`Spread`
-    describes other distributions. The entries below ``mounting_repeatability`` belong to particular stands and need
-    the ``[stand]`` table. A ``..._repeatability`` has a new value in each segment (``angle_``, ``rate_``,
-    ``reference_``, ``direction_``) or in each run (``mounting_``, ``levelling_``).
+    A string is the standard uncertainty of a normal distribution. :class:`Spread` describes other distributions. The entries
+    below ``mounting_repeatability`` belong to particular stands and need the ``[stand]`` table. A ``..._repeatability`` has a
+    new value in each segment (``angle_``, ``rate_``, ``reference_``, ``direction_``) or run (``mounting_``, ``levelling_``).
     ``reference_id`` names the device that gives the reference. Runs with the same device share its errors.
     ``vibration`` is the bias along X0 by rectification: k2 times the variance of a vibration that the log does not show.
     ``waived`` names sources that are left out on purpose, each with its reason in one line.
@@ -436,10 +439,6 @@ def drawn_for(name: str) -> Draw:
     return REPEATED[name][1] if name in REPEATED else "reference"
 
 
-GRAVITY_NORM = "gravity-norm"
-"""Value of ``[data] reference`` in the run file of a set of accelerometers: the size of gravity is its reference."""
-
-
 def is_set(document: dict[str, Any]) -> bool:
     """True for the tables of a run file of a set."""
     data = document.get("data")
@@ -465,10 +464,6 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
         return check_run_file(run_file)
     except (DataError, UnitError, RunFileError) as error:
         raise RunFileError(f"{path}: {error.message}", remedy=error.remedy) from None
-
-
-_Faults = Iterator[tuple[str, str]]
-"""What is wrong, and the remedy."""
 
 
 def check_run_file(run_file: RunFile) -> RunFile:
@@ -585,10 +580,6 @@ def check_direct_unit(unit: str, what: str) -> None:
         remedy = "declare the unit of its output, e.g. 'V', 'mA' or 'Hz'; or leave [instrument] kind out"
         words = f"{what}: unit '{unit}' is that of an angle, and a direct instrument has no gimbal"
         raise RunFileError(words, remedy=remedy)
-
-
-ASSUMED_SOURCES = ("earth_rate", "height", "servo")
-"""Sources with a size that piga assumes if nobody states it. They can be waived, too."""
 
 
 def faults_of_waived(uncertainty: UncertaintyTable) -> _Faults:

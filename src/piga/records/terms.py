@@ -112,11 +112,6 @@ def check_name(name: str) -> bool:
     return name in UNITS or harmonic(name) is not None
 
 
-def meaning_of(name: str) -> str:
-    """Meaning of the coefficient, in words."""
-    return term_words(name).meaning
-
-
 def term_names(terms: str | Iterable[str]) -> tuple[str, ...]:
     """Names of terms, also when they are one text: ``"scale_factor, tan_beta k0"``."""
     return tuple(terms.replace(",", " ").split()) if isinstance(terms, str) else tuple(terms)

@@ -11,7 +11,7 @@ import numpy as np
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
 from piga.planning.plan import Mounting, Plan
-from piga.records.terms import meaning_of, shown_unit, unit_of
+from piga.records.terms import shown_unit, term_words, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone, named_values
@@ -145,7 +145,7 @@ def _uncertainty_table(plan: Plan) -> Table:
     shown = [(name, *shown_unit(name, unit_of(name, plan.request.unit))) for name in plan.request.names]
     table = (
         TableOf(shown)
-        .text("coefficient", lambda row: Cell(row[0], title=meaning_of(row[0])))
+        .text("coefficient", lambda row: Cell(row[0], title=term_words(row[0]).meaning))
         .text("unit", lambda row: pretty_unit(row[2]) or "1")
         .number("u, Type A", lambda row: significant(plan.best.std(row[0]) * row[1], 3))
         .number("u with the stand", lambda row: significant(plan.best.combined(row[0]) * row[1], 3))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from piga.records.terms import meaning_of, shown_unit
+from piga.records.terms import shown_unit, term_words
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone
@@ -229,7 +229,7 @@ def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Sec
         .number("Score", lambda row: _score(row[0]))
     )
     caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."
-    lead = f"{meaning_of(trend.key)[:1].upper()}{meaning_of(trend.key)[1:]}."
+    lead = f"{term_words(trend.key).meaning[:1].upper()}{term_words(trend.key).meaning[1:]}."
     content = (lead, partial(trend_figure, drifts, trend, ahead), table.table(caption))
     return Section(trend.key, f"coefficient-{trend.key.replace('_', '-')}", content)
 

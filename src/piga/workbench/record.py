@@ -29,7 +29,7 @@ from piga.errors import ArgumentError, CalibrationError, PigaError
 from piga.output import put_in_place, write_whole
 from piga.records.calibration.calibration import Calibration
 from piga.records.run_file import read_run_file
-from piga.records.terms import GYRO, UNITS, check_terms, meaning_of, shown_unit, turns
+from piga.records.terms import GYRO, UNITS, check_terms, shown_unit, term_words, turns
 from piga.reports.render.numbers import rounded, significant
 from piga.text_files import files_named_in, toml_document, toml_value
 from piga.workbench.common import FIT, Bench, Field, Job, Sent, bench_of, in_line, render, route
@@ -363,7 +363,7 @@ def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
     always = "k1" if "k1" in usual else "scale_factor"
     terms = tuple(dict.fromkeys((always, *ticked))) if ticked else usual
     boxes = [one for one in dict.fromkeys((always, *_TERMS, *usual)) if run_file.unit == GYRO or not turns(one)]
-    shown = [(one, meaning_of(one), one in terms) for one in boxes if one != "k1" or one == always]
+    shown = [(one, term_words(one).meaning, one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {
         "terms": shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual),
         "answer": None, "former": None, "fit": None,

@@ -13,7 +13,7 @@ import pytest
 
 import piga
 from piga.records.calibration.coefficient import NO_REFERENCE, BudgetEntry
-from piga.records.calibration.diagnostics import SEPARATED, WELL_SEPARATED, Diagnostics, Event, Quality, verdict
+from piga.records.calibration.diagnostics import SEPARATED, WELL_SEPARATED, Event, Quality, verdict
 from piga.records.calibration.document import calibration_to_bytes
 from piga.reports.calibration.page import page as calibration_page
 from piga.reports.render.page import page_html
@@ -182,22 +182,10 @@ def test_each_doubt(change, words, grade):
     assert words in result.doubts[0].what
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"condition": 1.1 * WELL_SEPARATED}, "hard to separate"),
-        (
-            {"diagnostics": Diagnostics(variance=1.5, verdict="white", ljung_box_probability=0.5)},
-            "root mean square of 1.225",
-        ),
-    ],
-)
-def test_what_moves_no_number_is_said_and_is_no_doubt(change, words):
-    base = calibration(with_residuals=False)
-    today = replace(base.provenance, software=f"piga {piga.__version__}")
-    result = verdict(replace(base, notes=(), provenance=today, **change))
-    assert result.grade == "clear"
-    assert any(words in said for said in result.tested)
+def test_a_condition_number_that_moves_no_number_is_said_and_is_no_doubt():
+    base = replace(calibration(with_residuals=False), notes=(), condition=1.1 * WELL_SEPARATED)
+    assert verdict(base).grade == "clear"
+    assert any("hard to separate" in said for said in verdict(base).tested)
 
 
 @pytest.mark.parametrize(
@@ -227,7 +215,7 @@ def test_rows_that_were_not_used(used, grade):
     result = verdict(replace(base, quality=few))
     assert result.grade == grade
     said = [*result.tested, *(doubt.what for doubt in result.doubts)]
-    words = f"only {100 * used:.3g} % of the rows were used: the others would move a coefficient by up to "
+    words = f"{100 * used:.4g} % of the rows of the positions were used: the others would move a coefficient by up to "
     assert any(text.startswith(f"{words}{2 * np.sqrt(1 - used):.2g} u") for text in said)
 
 

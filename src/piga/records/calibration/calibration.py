@@ -73,10 +73,6 @@ class At(NamedTuple):
     unit: str = ""
 
 
-_SHOWN, _DOUBTS = 5, 3
-"""Lines of ``repr`` for coefficients and for doubts. With heading and verdict it has ten lines at most."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RunRecord(Result):
     """One run of a joint calibration: its identity, noise, residuals, quality and inputs.
@@ -231,12 +227,11 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         made = "given coefficients" if self.given else f"method {self.method}"
         named = f"<Calibration of {self.serial or 'an instrument'} by {made}, standard uncertainties"
         rows = [f"{c.key} = {rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
-        judged = self.verdict
-        doubts = [f"  doubt: {doubt.words}" for doubt in judged.doubts]
+        doubts = [f"  doubt: {doubt.words}" for doubt in self.verdict.doubts]
         lines = [
-            *first_lines(rows, _SHOWN),
-            f"verdict: {judged.headline}",
-            *first_lines(doubts, _DOUBTS, ": summary()"),
+            *first_lines(rows, 5),
+            f"verdict: {self.verdict.headline}",
+            *first_lines(doubts, 3, ": summary()"),
         ]
         return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
 

@@ -21,11 +21,10 @@ PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""
 NO_REFERENCE = "the reference's uncertainty was not given"
 """Remark beside every uncertainty of a calibration whose budget has no source of Type B of the reference."""
+_LOOSE_PHASE = 0.5
+"""A phase with a standard uncertainty [rad] above this counts as not determined."""
 OF_THE_MODEL = ("servo ", "k3 ", "meaning of ", "earth_rate", "height")
 """Prefixes of the names of Type B sources that belong to the model, or whose size nobody stated."""
-_ALMOST_KNOWN = 1e9
-"""From this number of degrees of freedom on, F(n, nu) equals F(n, infinity) to every printed digit."""
-
 
 Number = Annotated[float, Meta(ge=-1e100, le=1e100)]
 """Any finite number. The limit is far above every quantity here; squares and unit conversions stay finite."""
@@ -68,12 +67,9 @@ def welch_satterthwaite(components: ArrayLike, degrees: ArrayLike) -> Any:
 
     ``components`` (..., n) are standard uncertainties in one unit; ``degrees`` (..., n) are ``inf`` for a known component.
     """
-    u, nu = np.abs(np.asarray(components, dtype=float)), np.asarray(degrees, dtype=float)
-    largest = u.max(axis=-1, initial=0.0)
-    share = (u / np.where(largest == 0.0, 1.0, largest)[..., None]) ** 2
-    known = np.sum(share**2 / nu, axis=-1)
-    certain = known == 0.0
-    result = np.where(certain, math.inf, np.sum(share, axis=-1) ** 2 / np.where(certain, 1.0, known))
+    variance, nu = np.asarray(components, dtype=float) ** 2, np.asarray(degrees, dtype=float)
+    known = np.sum(variance**2 / nu, axis=-1)
+    result = np.where(known > 0.0, np.sum(variance, axis=-1) ** 2 / np.where(known > 0.0, known, 1.0), math.inf)
     return float(result) if result.ndim == 0 else result
 
 
@@ -88,13 +84,9 @@ def joint_factor(coefficients: Iterable[Coefficient]) -> float:
 
     degrees = [coefficient.degrees_of_freedom for coefficient in coefficients]
     count, fewest = len(degrees), min(degrees)
-    if fewest > _ALMOST_KNOWN:
+    if math.isinf(fewest):
         return math.sqrt(float(chdtri(count, 1.0 - PROBABILITY)))
     return math.sqrt(count * float(fdtri(count, fewest, PROBABILITY)))
-
-
-_LOOSE_PHASE = 0.5
-"""A phase with a standard uncertainty [rad] above this counts as not determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,14 +253,12 @@ class BudgetTable(Result, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """Source, type and distribution, the coefficient, and the contribution in the unit of the coefficient."""
-        rows = []
+        rows: list[dict[str, Any]] = []
         for entry in self:
             size = entry.standard_uncertainty or Amount(math.nan, "")
             source = {"source": entry.source, "type": entry.type, "distribution": entry.distribution}
-            stated = {"standard_uncertainty": size.value, "unit_of_source": size.unit}
+            sized = {"standard_uncertainty": size.value, "unit_of_source": size.unit}
             for key, change in entry.contributions.items():
-                rows.append(
-                    source | {"coefficient": key, "unit": unit_of(key), "contribution": change} | stated
-                )
+                rows.append(source | {"coefficient": key, "unit": unit_of(key), "contribution": change} | sized)
         units = {"contribution": "as in column unit", "standard_uncertainty": "as in column unit_of_source"}
         return columns_of(rows, units)

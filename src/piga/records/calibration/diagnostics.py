@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Count = Annotated[int, Meta(ge=0)]
 """A number of rows or events. Limits in types are checked when a record is read."""
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+CREEP_ALARMS = 0.01
+"""Probability that a record without creep shows one, over all sizes and times that are tried."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +59,8 @@ class Quality:
     def lost(self) -> float:
         """Share of the rows of the positions that were not used; moves and the time to settle are no part of them."""
         unused = self.rows - self.used
-        between = min(sum(e.count for e in self.events if e.kind in _BETWEEN_POSITIONS), unused)
+        between = min(sum(e.count for e in self.events if e.kind in ("moving", "settling")), unused)
         return (unused - between) / max(self.rows - between, 1)
-
-
-_BETWEEN_POSITIONS = ("moving", "settling")
-"""Events whose rows lie between the positions of the stand."""
 
 
 @dataclass(frozen=True)
@@ -230,10 +228,6 @@ class Creep(Result):
         return max(map(abs, self.shift.values()), default=0.0)
 
 
-CREEP_ALARMS = 0.01
-"""Probability that a record without creep shows one, over all sizes and times that are tried."""
-
-
 @dataclass(frozen=True)
 class SegmentScatter:
     """Scatter of the mean rates of the segments, root mean square [g]; None if there are too few segments.
@@ -289,15 +283,11 @@ Grade = Literal["clear", "doubt", "do not use"]
 COUNTED = "not tested: rounding to whole counts correlates"
 """Verdict on whitened residuals that rounding can correlate. The others are ``white`` and ``not white: ...``."""
 _TO_TEST = "sample at another rate, or take other angles or levels"
-
-
 WELL_SEPARATED, SEPARATED = 1e3, 1e6
 """Largest condition numbers [1] of the column-scaled problem for "well separated" and for "separable" (own choices). The
 condition number is the largest amplification of relative errors of the reference."""
 _RMS_FROM_ONE = 0.1
-"""Largest deviation [1] of the whitened residual's root mean square from 1 that is called "of size one" (own choice)."""
-_USED = 0.95
-"""Least share [1] of used rows that is not mentioned as small (own choice)."""
+"""Largest deviation [1] of the whitened residual's root mean square from 1 without a doubt, in records before 0.3 (own choice)."""
 _MOVES = 0.25
 """Share [1] of rows not used above which they could move a coefficient by more than u (95 %): the estimate with all
 rows differs from that with a share 1 - q of them by ``sqrt(q) u`` rms, and ``2 sqrt(q) > 1``."""
@@ -308,6 +298,7 @@ _LARGE_RESIDUAL = 0.01745
 """Root mean square of the residuals [rad] (one degree) above which a fit must explain something (own choice)."""
 _EXPLAINS = 0.7071
 """Ratio [1] of the residuals after and before the fit at which it explains half of their variance."""
+_OPEN = "unstated", "assumed"
 EXAMPLES = 3
 """Most effects of sources that are not stated which the verdict names."""
 
@@ -414,11 +405,8 @@ def _explained(calibration: Calibration) -> Iterator[str | Doubt]:
     before, after = calibration.residual_rms_before, calibration.residual_rms
     large = calibration.diagnostics.residual_kind != "angle" or after > _LARGE_RESIDUAL
     if large and after > _EXPLAINS * before:
-        yield Doubt(
-            "the fit leaves more than it explains: the reference and the output do not belong together",
-            "check the times, the axes and the segments of both",
-            grave=True,
-        )
+        what = "the fit leaves more than it explains: the reference and the output do not belong together"
+        yield Doubt(what, "check the times, the axes and the segments of both", grave=True)
 
 
 def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
@@ -430,8 +418,10 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     if tests.verdict is None or chance is None or tests.variance is None or math.isnan(tests.variance):
         return
     tested = f"(Ljung-Box, {'p < 1e-300' if chance < 1e-300 else f'p = {chance:.2g}'})"
-    contained = "the intervals come from the scatter of the positions, which contains it"
-    within = not _by_positions(calibration) or any(c.segment is not None for c in calibration.coefficients)
+    modelled = calibration.provenance.software.startswith(
+        ("piga 0.1", "piga 0.2")
+    )  # intervals by a model of the noise
+    within = modelled or any(c.segment is not None for c in calibration.coefficients)
     neighbours = abs(tests.lag1_correlation or 0.0)
     lines = "" if calibration.direct else "lines in the residuals by revolution order, and for "
     what, remedy = f"the whitened residuals are not white {tested}", f"look for {lines}suggested terms"
@@ -445,20 +435,11 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
         small = f"intervals from the noise within one position are about {size:.2g} times too small"
         yield Doubt(f"{what}: {small}", remedy)
     elif tests.verdict != COUNTED:
-        yield f"{what}: {contained}; {remedy}"
+        yield f"{what}: the intervals come from the scatter of the positions, which contains it; {remedy}"
     rms = math.sqrt(tests.variance)
-    size_words = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
-    if abs(rms - 1.0) <= _RMS_FROM_ONE:
-        yield f"the whitened residuals are of size one ({rms:.3f})"
-    elif _by_positions(calibration):
-        yield f"{size_words}: {contained}"
-    else:
-        yield Doubt(size_words, "check the noise levels that were given, and the residuals of single segments")
-
-
-def _by_positions(calibration: Calibration) -> bool:
-    """True if the intervals come from the scatter of the positions: since version 0.3."""
-    return not calibration.provenance.software.startswith(("piga 0.1", "piga 0.2"))
+    if modelled and abs(rms - 1.0) > _RMS_FROM_ONE:
+        what = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
+        yield Doubt(what, "check the noise levels that were given, and the residuals of single segments")
 
 
 def _creep(calibration: Calibration) -> Iterator[str]:
@@ -470,34 +451,24 @@ def _creep(calibration: Calibration) -> Iterator[str]:
 def _separation(calibration: Calibration) -> Iterator[str | Doubt]:
     """Separation of the coefficients. What it magnifies is in u, or listed by source: only the limit of arithmetic is a doubt."""
     condition = calibration.condition
-    shown = f"{condition:.2g}" if math.isfinite(condition) else "infinite"
+    shown = f"condition number {condition:.2g}" if math.isfinite(condition) else "condition number infinite"
+    remedy = "leave terms out, or add positions, levels or another kind of run"
     if condition <= WELL_SEPARATED:
-        yield f"the record separates the coefficients (condition number {shown})"
+        yield f"the record separates the coefficients ({shown})"
     elif condition <= SEPARATED:
-        yield (
-            f"some coefficients are hard to separate (condition number {shown}): the uncertainties contain this, and so do "
-            "the effects of the sources; to narrow them leave terms out, or add positions, levels or another kind of run"
-        )
+        contained = "the uncertainties contain this, and so do the effects of the sources; to narrow them"
+        yield f"some coefficients are hard to separate ({shown}): {contained} {remedy}"
     else:
-        yield Doubt(
-            f"the record hardly separates the coefficients (condition number {shown})",
-            "leave terms out, or add positions, levels or another kind of run",
-            grave=True,
-        )
+        yield Doubt(f"the record hardly separates the coefficients ({shown})", remedy, grave=True)
 
 
 def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     lost = calibration.quality.lost
-    if lost <= 1.0 - _USED:
-        share = "all" if lost == 0.0 else f"{100.0 * (1.0 - lost):.4g} % of the"
-        yield f"{share} rows of the positions were used"
-        return
-    moved = f"the others would move a coefficient by up to {2.0 * math.sqrt(lost):.2g} u (95 %)"
-    what = f"only {100.0 * (1.0 - lost):.3g} % of the rows were used: {moved}"
+    moved = (
+        f": the others would move a coefficient by up to {2.0 * math.sqrt(lost):.2g} u (95 %)" if lost else ""
+    )
+    what = f"{100.0 * (1.0 - lost):.4g} % of the rows of the positions were used{moved}"
     yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
-
-
-_OPEN = "unstated", "assumed"
 
 
 def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]:
@@ -533,9 +504,7 @@ def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> st
         if source.status == "unstated" and (c := named.get(key))
     ]
     effects.sort(key=lambda effect: -effect[0])
-    words = [
-        f"{text.removesuffix(' 1').replace('e-0', 'e-')}, {size:.2g} u" for size, text in effects[:EXAMPLES]
-    ]
+    words = [f"{text.removesuffix(' 1')}, {size:.2g} u" for size, text in effects[:EXAMPLES]]
     return f". {'; '.join(words)}" if words else ""
 
 

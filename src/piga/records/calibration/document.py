@@ -49,6 +49,8 @@ def _document_type() -> tuple[dict[str, At], Any]:
         "covariance": _Covariance,
         "budget": tuple[BudgetEntry, ...],
         "condition": kinds["condition"] | None,
+    }
+    kinds |= {
         "phases": Phases,
         "phase_source": PhaseSource,
         "method": Method | Literal["published", "recursive"],
@@ -150,12 +152,12 @@ def calibration_from_bytes(raw: bytes, path: Path) -> Calibration:
         message = f"is not a calibration record (it lacks the schema '{SCHEMA}')"
         remedy = "name a calibration.json"
         if schema.startswith("piga.calibration/"):
-            message = f"schema '{schema}' is not known to this version"
-            remedy = "update piga, or calibrate again"
-        elif schema.startswith("piga.set-calibration/"):
-            message = (
-                "is the set-calibration.json of a set of accelerometers, not the calibration of one instrument"
+            message, remedy = (
+                f"schema '{schema}' is not known to this version",
+                "update piga, or calibrate again",
             )
+        elif schema.startswith("piga.set-calibration/"):
+            message = "is the set-calibration.json of a set of accelerometers, not the calibration of one"
             remedy = "its report.html has the results; for this command calibrate each instrument by itself"
     except (JsonError, msgspec.ValidationError, UnitError) as error:
         why = error.message if isinstance(error, UnitError) else str(error)
@@ -263,10 +265,10 @@ def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
     if stated.names != tuple(c) or [len(row) for row in stated.matrix] != [size] * size:
         yield "the covariance is not a square matrix of the coefficients in their order"
     matrix = np.array(stated.matrix, dtype=float).reshape(size, size)
-    for k, std in zip(c.coefficients, np.sqrt(np.maximum(np.diag(matrix), 0.0)).tolist(), strict=True):
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    for k, std in zip(c.coefficients, scale.tolist(), strict=True):
         if abs(std - k.std) > SAME * max(k.std, std):
             yield f"the standard uncertainty of '{k.key}' is {k.std:.6g}, but the covariance gives {std:.6g}"
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
     compared = matrix if c.method == "published" else correlation
