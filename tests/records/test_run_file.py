@@ -26,11 +26,7 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            'serial = "T-1"',
-            'seriol = "T-1"',
-            r"\[instrument\] has the unknown key 'seriol'.*did you mean 'serial'",
-        ),
+        ('serial = "T-1"', 'seriol = "T-1"', r"\[instrument\] has the unknown key 'seriol'.*mean 'serial'"),
         ('serial = "T-1"', "serial = 7", r"\[instrument.serial\]: expected text"),
         ('"T-1"', f'"{"T" * 201}"', r"run.toml: \[instrument\] serial has 201 characters\n  remedy: use 200"),
         ('serial = "T-1"\n', "", r"\[instrument\] lacks the key 'serial'"),
@@ -38,11 +34,7 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
         ('"0.8884 rad/s/g"', '"-1 rad/s/g"', "must be positive"),
         ("72000", "0", r"\[instrument.counts_per_revolution\]: expected a number >= 1e-06"),
         ("counts_per_revolution = 72000", "", "counts_per_revolution is missing"),
-        (
-            "counts_per_revolution = 72000",
-            "counts_per_revolution = 72000\ncounter_bits = 99",
-            r"\[instrument.counter_bits\]: expected a whole number <= 62",
-        ),
+        ("[data]", "counter_bits = 99\n[data]", r"\[instrument.counter_bits\]: expected a whole number <= 62"),
         ('unit = "s"', 'unit = "deg"', r"\[data\] time: unit 'deg'"),
         ('unit = "g" }', 'unit = "furlong" }', r"\[data\] reference: unknown unit 'furlong'"),
         ('kind = "counts"', 'kind = "turns"', "'turns' is not one of the allowed values"),
@@ -54,11 +46,9 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
         ('time = { column = "t", unit = "s" }', 'sample_rate = "0 Hz"', "sample_rate: must be positive"),
         ('"fx", "fy", "fz"', '"fx", "fy"', r"\[data.reference.columns\]"),
         ('terms = ["scale_factor", "k0"]', 'terms = ["kO"]', "unknown term 'kO'"),
-        ('terms = ["scale_factor", "k0"]', 'phases = "loose"', "'loose' is not one of the allowed values"),
         ("[model]", '[uncertainty]\nreference_scale = "-1 ppm"\n[model]', "is negative"),
         ("[model]", '[uncertainty]\nreference_scale = "2 arcsec"\n[model]', "quantity in 'ppm'"),
         ("[model]", '[estimation]\nangle_rms = "1 urad"\n[model]', "one of them is missing"),
-        ("[model]", "[modell]", "unknown key 'modell'.*did you mean 'model'"),
         ("[model]", "[model", "not valid TOML: .*line"),
         ("[data]", '[data]\ndelimiter = ","\ndecimal = ","', "the same character"),
     ],
@@ -117,18 +107,10 @@ def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
         ({"data": "range = { speed = [0.0, 1.0] }"}, "range: 'speed' is not a column in use"),
         ({"data": "range = { fx = [1.0, 0.0] }"}, "range: 'fx': 1 is not below 0"),
         ({"data": 'segment = "fx"'}, "'fx' is a number column that is in use already"),
-        (
-            {"data": 'sequence = { column = "k", wraps_at = 1 }'},
-            r"\[data.sequence.wraps_at\]: expected a whole number >= 2",
-        ),
         ({"model": 'compare = [["scale_factor"], ["scale_factor", "k9"]]'}, r"\[model\] compare(?s:.*)'k9'"),
         (
             {"model": '[uncertainty]\nlevelling = "2 arcsec"'},
             r"\[uncertainty\] levelling: belongs to a stand(?s:.*)add \[stand\]",
-        ),
-        (
-            {"model": '[uncertainty]\nreference_scale = { standard = "1 ppm", shape = "normal" }'},
-            "unknown key 'shape'",
         ),
         (
             {"model": '[estimation]\nangle_rms = "-1 urad"\nangle_random_walk = "0 rad/sqrt(s)"'},
@@ -176,18 +158,12 @@ def test_a_number_without_its_unit_is_refused_with_file_and_key(tmp_path, key, c
         ('{ standard = "1 ppm", half_width = "2 ppm" }', "give either standard or half_width"),
         ("{ degrees_of_freedom = 8 }", "give either standard or half_width"),
         ('{ value = "1 ppm", distribution = "rectangular" }', "'value' of a rectangular distribution could be"),
-        ('{ value = "1 ppm", distribution = "arcsine" }', "'value' of a arcsine distribution could be"),
         ('{ half_width = "1 ppm" }', "a normal distribution has no half-width"),
-        (
-            '{ half_width = "1 ppm", distribution = "t", degrees_of_freedom = 9 }',
-            "a t distribution has no half-width",
-        ),
         ('{ standard = "1 ppm", distribution = "t" }', "'t' needs more than two degrees_of_freedom"),
         ('{ standard = "1 ppm", distribution = "t", degrees_of_freedom = 2 }', "needs more than two"),
         ('{ standard = "1 ppm", degrees_of_freedom = 0 }', "degrees_of_freedom must be positive"),
         ('{ half_width = "-1 ppm", distribution = "triangular" }', "'-1 ppm' is negative"),
         ('"-1 ppm"', "'-1 ppm' is negative"),
-        ('"1 arcsec"', "arcsec"),
     ],
 )
 def test_a_spread_that_says_too_little_or_too_much(tmp_path: Path, entry: str, message: str) -> None:
