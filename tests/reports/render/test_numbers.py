@@ -38,6 +38,7 @@ SPREADS = st.floats(1e-12, 1e8)
         (123456.0, 1234.0, "1.235(12)e5"),
         (0.0, 0.012, "0.000(12)"),
         (-2.37e-3, 1e-5, "-0.002370(10)"),
+        (-2e-6, 4.4e-5, "-0.2(4.4)e-5"),
     ],
 )
 def test_concise_form(value, uncertainty, concise):
