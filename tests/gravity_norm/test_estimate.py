@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.errors import ArgumentError, DataError, IdentifiabilityError, RunFileError
-from piga.gravity_norm import calibrate_set_file, is_set_file, static_spells
+from piga.gravity_norm import calibrate_set_file, is_set_file
 from tests.cli.runner import outcome
 from tests.gravity_norm.simulated import BIAS, LOWER, STEP, G, directions, record
 
@@ -67,9 +67,8 @@ def test_a_redundant_set_of_four():
 def test_spells_are_the_attitudes():
     """Begin and end of each, half a window inside."""
     rng = np.random.default_rng(44)
-    t, outputs = record(rng, directions(rng, 12))
-    found = static_spells(t, outputs, window=1.0, multiple=6.0)
-    begins = 3.5 * np.arange(12)
+    found = piga.calibrate_set(*record(rng, directions(rng, 20)), G).spells
+    begins = 3.5 * np.arange(20)
     assert [one.begin for one in found] == pytest.approx(begins + 0.5, abs=0.2)
     assert [one.end for one in found] == pytest.approx(begins + 2.5, abs=0.2)
     assert found[3].samples == pytest.approx(2.0 / STEP, abs=12)

@@ -13,7 +13,6 @@ from piga.gravity_norm.estimate import (
     calibrate_set,
     calibrate_set_file,
     is_set_file,
-    static_spells,
 )
 
 __all__ = [
@@ -24,5 +23,4 @@ __all__ = [
     "calibrate_set",
     "calibrate_set_file",
     "is_set_file",
-    "static_spells",
 ]

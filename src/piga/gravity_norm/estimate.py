@@ -142,27 +142,11 @@ class SetCalibration(Reported, Plotted, Result):
         return [(term.key, f"{term.value:.8g} +- {term.expanded:.2g} {term.unit}") for term in self.terms]
 
 
-def static_spells(t: ArrayLike, outputs: ArrayLike, *, window: float, multiple: float) -> tuple[Spell, ...]:
-    """Times at which all accelerometers of a set are quiet.
+def _activity(t: Array, y: Array, window: float) -> tuple[Array, int]:
+    """Variance in a window around each sample over that of quiet windows, and the samples of half a window.
 
-    The variances over a sliding window are added up over the accelerometers, each by its own quiet variance, and compared
-    with ``multiple`` times the sum of those. A spell has at least one window; half a window at each of its ends is left out.
-
-    Parameters
-    ----------
-    t, outputs:
-        Time (n,) [s] and outputs (n, accelerometers).
-    window:
-        Length of the window [s].
-    multiple:
-        Threshold, as a multiple of the quiet variance.
+    It is the mean over the accelerometers, each by its own quiet variance.
     """
-    return _spells(np.asarray(t, dtype=float), *_activity(t, outputs, window), multiple)
-
-
-def _activity(t: ArrayLike, outputs: ArrayLike, window: float) -> tuple[Array, int]:
-    """Variance in a window around each sample over that of quiet windows, and the samples of half a window."""
-    t, y = np.asarray(t, dtype=float), np.asarray(outputs, dtype=float)
     half = max(round(0.5 * window / float(np.median(np.diff(t)))), 5)
     size = 2 * half + 1
     if t.size < 2 * size:
@@ -181,6 +165,7 @@ def _activity(t: ArrayLike, outputs: ArrayLike, window: float) -> tuple[Array, i
 
 
 def _spells(t: Array, activity: Array, half: int, multiple: float) -> tuple[Spell, ...]:
+    """Times at which the activity is below a multiple. Each has a window at least; half a window at its ends is left out."""
     still = np.concatenate(([False], activity < multiple, [False]))
     edges = np.flatnonzero(still[1:] != still[:-1])
     spells = [(a + half, b + half) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 2 * half]
