@@ -19,8 +19,6 @@ KINDS = [kind for kind in vars(errors).values() if isinstance(kind, type) and is
 def test_every_error_needs_a_remedy(kind: type[PigaError]) -> None:
     with pytest.raises(TypeError, match="remedy"):
         kind("it is wrong")
-    error = kind("it is wrong", remedy="mend it")
-    assert str(error) == "it is wrong\n  remedy: mend it"
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -23,7 +23,7 @@ from piga.planning.candidates import (
     request_of,
 )
 from piga.planning.plan import plan_mounting
-from piga.planning.search import Criterion, in_order, whole_pairs
+from piga.planning.search import in_order
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
 from piga.stand import Composite, simulate_test
@@ -50,6 +50,8 @@ from tests.planning.test_plan import mounting_request
         ("[plan]", '[plan]\nlongest_dwell = "3 s"', "longest_dwell is below minimum_dwell"),
         ('"k2"', '"k0_t"', "'k0_t' depends on when"),
         ('duration = "720 s"', 'duration = "-5 s"', "duration: -5 s is not positive"),
+        ('kind = "dividing-head"\nlatitude = "40 deg"\npositions = "0:360:30 deg"\nmove = "20 s"',
+         'kind = "vibration-table"\nlatitude = "40 deg"', "kind 'vibration-table' has no positions or levels"),
         ('duration = "720 s"', 'duration = "10 s"', "duration is below minimum_dwell twice"),
     ],
 )  # fmt: skip
@@ -62,16 +64,6 @@ def test_plans_that_are_none(tmp_path: Path, old: str, new: str, words: str) -> 
         read_plan(path)
     assert "plan.toml" in str(caught.value)
     assert caught.value.remedy
-
-
-@pytest.mark.interpreted
-def test_a_plan_on_a_stand_without_positions(tmp_path: Path) -> None:
-    path = request(tmp_path).path
-    first, rest = path.read_text(encoding="utf-8").split("[stand]")
-    stand = '[stand]\nkind = "profile"\nlatitude = "40 deg"\n[[stand.maneuvers]]\nduration = "60 s"\n'
-    path.write_text(first + stand + rest[rest.index("[model]") :], encoding="utf-8")
-    with pytest.raises(RunFileError, match=r"has no positions or levels to choose from|\[stand\]"):
-        read_plan(path)
 
 
 def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
@@ -156,25 +148,3 @@ def test_coarse_counts_are_predicted_as_they_will_be_stated(tmp_path: Path) -> N
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))
     for seen in (np.median(stated, axis=0), scatter):
         assert np.abs(np.log(u / seen)).max() < np.log(1.6), u / seen
-
-
-@dataclass(frozen=True)
-class Rounded(Criterion):
-    """A criterion that promises more than it keeps, as rounding does for a nearly singular plan."""
-
-    calls: list[int] = field(default_factory=list)
-
-    def values(self, information):
-        self.calls.append(1)
-        assert len(self.calls) < 1000, "the search goes round in circles"
-        return super().values(information) - (1e-3 if information.ndim == 3 else 0.0)
-
-
-def test_rounding_ends_the_search():
-    angles = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
-    rows = np.column_stack([np.cos(angles), np.ones(8), np.cos(angles) ** 2])
-    pairs = np.einsum("pa,pb->pab", rows, rows)
-    criterion = Rounded(np.eye(3)[:1], 1.0)
-    value, places = whole_pairs(pairs, criterion, np.full(8, 0.125), 4)
-    assert value < float(criterion.values(pairs[[0, 1, 4, 6]].sum(axis=0)))
-    assert places.size == 4
