@@ -235,18 +235,16 @@ def test_units_of_arrays_are_stated(run):
     """Without a unit of the force, or of the scale factor, nothing is taken; the record in the units of a lab is the same."""
     arrays = {"t": 1e3 * run.t, "output": np.degrees(run.output), "f": run.f / G0}
     told = {"t": "ms", "output": "deg", "f": "g"}
-    with pytest.raises(
-        piga.PigaError, match=r"f: its unit is not stated\n  remedy: units='SI' if it is in m/s\^2"
+    for scale, units, said in (
+        (SCALE, None, r"f: its unit is not stated\n  remedy: units='SI' if it is in m/s\^2"),
+        (0.8884, told, r'scale_factor: 0.8884 has no unit\n  remedy: .*"0.8884 rad/s/g"'),
+        (SCALE, {"f": "g", "force": "g"}, "units: there is no argument 'force'"),
+        (SCALE, told | {"f": "deg"}, "units: f: unit 'deg' does not measure"),
     ):
-        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units=None)
-    with pytest.raises(piga.PigaError, match=r'scale_factor: 0.8884 has no unit\n  remedy: .*"0.8884 rad/s/g"'):
-        piga.Run.from_arrays(**arrays, scale_factor=0.8884, units=told)
-    with pytest.raises(piga.PigaError, match="units: there is no argument 'force'"):
-        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units={"f": "g", "force": "g"})
-    with pytest.raises(piga.PigaError, match="units: f: unit 'deg' does not measure"):
-        piga.Run.from_arrays(**arrays, scale_factor=SCALE, units=told | {"f": "deg"})
-    celsius = {"temperature": np.full(run.size, 20.0)}
-    made = piga.Run.from_arrays(**arrays, **celsius, scale_factor=SCALE, units=told | {"temperature": "degC"})
+        with pytest.raises(piga.PigaError, match=said):
+            piga.Run.from_arrays(**arrays, scale_factor=scale, units=units)
+    arrays |= {"temperature": np.full(run.size, 20.0)}
+    made = piga.Run.from_arrays(**arrays, scale_factor=SCALE, units=told | {"temperature": "degC"})
     assert made.temperature is not None
     assert made.temperature[0] == 293.15
     for name in ("t", "output", "f"):

@@ -88,11 +88,10 @@ def test_coloured_residuals_are_said_and_move_no_interval_by_the_scatter_of_the_
     for key, true in (("scale_factor", K * G0), ("k0", 300e-6)):
         low, high = coloured[key].limits
         assert low < true < high
-    page = calibration_page(coloured)
-    said = "he whitened residuals are not white (Ljung-Box, p "
-    assert said in body(page_html(page))
-    document = json.loads(calibration_to_bytes(coloured))
-    assert any(said in words for words in document["verdict"]["tested"])
+    said = "the whitened residuals are not white (Ljung-Box, p "
+    assert any(
+        words.startswith(said) for words in json.loads(calibration_to_bytes(coloured))["verdict"]["tested"]
+    )
 
 
 def test_coloured_residuals_are_a_doubt_where_the_noise_within_a_position_gives_an_interval(coloured):
@@ -102,8 +101,6 @@ def test_coloured_residuals_are_a_doubt_where_the_noise_within_a_position_gives_
     said = "he whitened residuals are not white (Ljung-Box, p "
     text = body(page_html(calibration_page(result)))
     assert 0 < text.index(said) < text.index("Data used"), "the verdict stands above the tiles"
-    assert said in " ".join(result.summary().split("Calibration of")[0].split())
-    assert said in repr(result)
     white = replace(result, diagnostics=replace(result.diagnostics, lag1_correlation=0.3))
     assert white.verdict.grade == "clear"
     found = replace(result, notes=("a creep after each move: leave out the first 22 s",))
@@ -117,6 +114,8 @@ def test_residuals_of_an_older_version_are_judged_by_its_rule(coloured):
     assert old.verdict.grade == "clear"
     old = replace(old, provenance=replace(old.provenance, software="piga 0.2.0"))
     assert old.verdict.grade == "doubt"
+    rough = replace(old, diagnostics=replace(old.diagnostics, variance=1.5, lag1_correlation=0.0))
+    assert "root mean square of 1.225 instead of 1" in rough.verdict.reason
 
 
 def test_the_verdict_is_the_same_after_reading_back(coloured, tmp_path):
@@ -152,7 +151,6 @@ def test_a_force_in_g_is_named(recwarn):
     assert "f (wanted in m/s^2) multiplied by 9.80665" in said
     assert "[data]" not in said
     assert "verdict: Do not use: the scale factor" in repr(result)
-    assert repr(result).count("9.807 times") <= 3
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,3 @@ def test_residuals_name_their_run(joint: Calibration, tmp_path: Path) -> None:
     table = pq.read_table(tmp_path / "r.parquet")
     assert table.column("run").to_pylist() == ["east", "east", "west", "west"]
     assert table.schema.field("before").metadata == {b"unit": b"rad"}
-    group = pq.read_metadata(tmp_path / "r.parquet").row_group(0)
-    columns = [group.column(number) for number in range(group.num_columns)]
-    assert {c.path_in_schema for c in columns if c.has_dictionary_page} == {"segment", "run"}
