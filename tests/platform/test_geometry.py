@@ -69,14 +69,6 @@ def test_harmonics_follow_their_definition_whatever_the_phase():
     np.testing.assert_allclose(attitude[:, 1, 2], np.sin(expected) * np.cos(c), rtol=0, atol=1e-18)
 
 
-def test_tip_turns_into_a_gyro_and_back():
-    gyro = Gyro(3e-4, -2.2, (Harmonic(1, 1e-5, 0.2), Harmonic(2, 2e-5, 3.0)))
-    back = Tip.of(gyro, 2).gyro()
-    c = np.linspace(0.0, 6.0, 20)
-    np.testing.assert_allclose(misalignment(back, c), misalignment(gyro, c), rtol=0, atol=1e-18)
-    assert abs(back.phase - gyro.phase) < 1e-15
-
-
 def test_derivatives_of_a_tip_are_those_of_finite_differences():
     tip = Tip(np.array([3e-4, -2e-4, 2e-5, 1e-5, -1e-5, 3e-5]))
     angle = np.linspace(0.0, 6.0, 13)

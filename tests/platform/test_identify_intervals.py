@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from piga.platform import identify, simulate
-from piga.platform.scenario import Sensors
+from piga.platform.scenario import Gyro, Harmonic, Sensors
 from piga.platform.simulate import base_motion
 from tests.platform.conftest import (
     ARCSEC,
@@ -85,28 +85,28 @@ def test_intervals_hold_in_ten_thousand_runs(case):
     _hold(scores, nees, 4.0, margin=0.005)
 
 
-def _perturbed(s, name, k, by):
-    """The scenario with one number changed: (a part, its field, an index) by ``by``."""
-    if name in {"polar", "equatorial"}:
-        gyro = getattr(s, name)
-        if k == 0:
-            return replace(s, **{name: msgspec.structs.replace(gyro, misalignment=gyro.misalignment + by)})
-        if k == 1:
-            return replace(s, **{name: msgspec.structs.replace(gyro, phase=gyro.phase + by)})
-        if k >= 10:
-            drift = tuple(w + by * (i == k - 10) for i, w in enumerate(gyro.drift))
-            return replace(s, **{name: msgspec.structs.replace(gyro, drift=drift)})
-        harmonics = sorted(gyro.harmonics, key=lambda h: h.order)
-        which, what = divmod(k - 2, 2)
-        field = ("amplitude", "phase")[what]
-        harmonics[which] = harmonics[which]._replace(**{field: getattr(harmonics[which], field) + by})
-        return replace(s, **{name: msgspec.structs.replace(gyro, harmonics=tuple(harmonics))})
-    if name == "triad":
-        return replace(s, triad=tuple(v + by * (i == k) for i, v in enumerate(s.triad)))
-    if name == "base":
-        field = ("roll", "pitch", "heading")[k]
-        return replace(s, motion=msgspec.structs.replace(s.motion, **{field: getattr(s.motion, field) + by}))
-    return replace(s, redundancy=s.redundancy + by)
+def _numbers(s):
+    """The scenario as numbers: amplitudes and phases, drift of each gyro; redundancy, triad and base."""
+    gyros = [
+        [g.misalignment, g.phase, *(v for h in sorted(g.harmonics) for v in h[1:]), *g.drift]
+        for g in (s.polar, s.equatorial)
+    ]
+    return np.array(
+        [*gyros[0], *gyros[1], s.redundancy, *s.triad, s.motion.roll, s.motion.pitch, s.motion.heading]
+    )
+
+
+def _of_numbers(s, numbers):
+    """The scenario ``s`` with these numbers in place of its own."""
+    first, second, (redundancy, *triad), base = np.split(numbers, [10, 20, 24])
+    polar, equatorial = (
+        Gyro(v[0], v[1], tuple(Harmonic(k, *v[2 * k : 2 * k + 2]) for k in (1, 2, 3)), drift=tuple(v[8:]))
+        for v in (first, second)
+    )
+    motion = msgspec.structs.replace(s.motion, **dict(zip(("roll", "pitch", "heading"), base, strict=True)))
+    return replace(
+        s, polar=polar, equatorial=equatorial, redundancy=redundancy, triad=tuple(triad), motion=motion
+    )
 
 
 def _bound(s, sources):
@@ -122,15 +122,12 @@ def _bound(s, sources):
         parts = {"gimbals": np.unwrap(r.gimbals, axis=0), "pick-off": r.pickoff, "force": r.increments}
         return np.concatenate([parts[k].ravel() / sigma.get(k, walk) for k in sources])
 
-    wanted = [(g, k) for g in ("polar", "equatorial") for k in range(8)]
-    others = [("redundancy", 0), *[(g, k) for g in ("polar", "equatorial") for k in (10, 11)]]
-    others += [(what, k) for what in ("triad", "base") for k in range(3)]
-
-    def column(name, k):
-        by = 1e-10 if k >= 10 else 1e-3 if name in {"polar", "equatorial"} and k % 2 else 1e-6
-        return (seen(_perturbed(s, name, k, by)) - seen(_perturbed(s, name, k, -by))) / (2.0 * by)
-
-    rows, nuisance = np.array([column(*w) for w in wanted]).T, np.array([column(*o) for o in others]).T
+    put_in, wanted = _numbers(s), [*range(8), *range(10, 18)]
+    sizes = np.full(len(put_in), 1e-6)
+    sizes[[1, 3, 5, 7, 11, 13, 15, 17]], sizes[[8, 9, 18, 19]] = 1e-3, 1e-10  # phases, drifts
+    ends = [[seen(_of_numbers(s, put_in + side * by)) for side in (1.0, -1.0)] for by in np.diag(sizes)]
+    columns = np.array([ahead - behind for ahead, behind in ends]).T / (2.0 * sizes)
+    rows, nuisance = columns[:, wanted], np.delete(columns, wanted, axis=1)
     scale = np.linalg.norm(nuisance, axis=0)
     left, values, _ = np.linalg.svd(nuisance / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     basis = left[:, values > 1e-6 * values[0]]

@@ -35,21 +35,12 @@ def test_quantities_are_in_si():
     assert s.steps == 864000
 
 
-def test_defaults_are_those_of_a_quiet_static_platform(tmp_path):
-    s = _load(tmp_path, LEAST)
-    assert s.motion.kind == "static"
-    assert s.compensation.attitude is None
-    assert s.compensation.models == ("none", "A", "B", "C")
-    assert s.sensors.pigas is None
-
-
 @pytest.mark.parametrize(("text", "turns"), [("none", 0), ("each-turn", 1), ("4 turns", 4)])
 def test_reversal_words(tmp_path, text, turns):
-    assert _load(tmp_path, LEAST + f'[case_rotation]\nreversal = "{text}"\n').polar_rotation.turns == turns
-
-
-def test_cases_at_rest(tmp_path):
-    assert _load(tmp_path, LEAST + '[case_rotation]\nperiod = "none"\n').polar_rotation.rate == 0.0
+    cases = f'[case_rotation]\nreversal = "{text}"\nequatorial_period = "none"\n'
+    s = _load(tmp_path, LEAST + cases)
+    assert s.polar_rotation.turns == turns
+    assert s.equatorial_rotation.rate == 0.0
 
 
 @pytest.mark.parametrize(
@@ -91,8 +82,3 @@ def test_mistakes_are_named(tmp_path, text, message):
     with pytest.raises(PigaError, match=message) as caught:
         _load(tmp_path, text)
     assert "s.toml" in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(PigaError, match=r"absent\.toml: cannot be read"):
-        load_scenario(tmp_path / "absent.toml")

@@ -54,15 +54,11 @@ def test_gravity_differs_from_the_closed_normal_formula_by_the_j4_term_only(lati
 
 
 def test_geodetic_conversion_closes():
-    lat, lon, h = (
-        np.radians([10.0, -52.0, 84.0]),
-        np.radians([170.0, -3.0, 20.0]),
-        np.array([-100.0, 0.0, 9000.0]),
-    )
-    back = earth_to_geodetic(geodetic_to_earth(lat, lon, h))
-    np.testing.assert_allclose(back[0], lat, atol=1e-15)
-    np.testing.assert_allclose(back[1], lon, atol=1e-15)
-    np.testing.assert_allclose(back[2], h, atol=3e-9)
+    lat, lon = np.radians([10.0, -52.0, 84.0]), np.radians([170.0, -3.0, 20.0])
+    h = np.array([-100.0, 0.0, 9000.0])
+    *angles, height = earth_to_geodetic(geodetic_to_earth(lat, lon, h))
+    np.testing.assert_allclose(angles, [lat, lon], atol=1e-15)
+    np.testing.assert_allclose(height, h, atol=3e-9)
     np.testing.assert_allclose(local_axes(0.0, 0.0), [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-16)
 
 

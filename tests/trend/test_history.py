@@ -126,6 +126,7 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
     assert not any("r13" in alarm for alarm in trend.alarms)
     exact = find_trend(history(t[:6], [1.0, 1.0, 1.0, 1.0, 1.5, 1.0], 1e-9))
     assert any("record r4 of" in alarm and "shows 1500000" in alarm for alarm in exact.alarms)
+    assert exact["k0"].coefficient_at(1.0).std > 0.1
     t = np.arange(36) / 12.0
     shifted = 1.6e-3 + np.random.default_rng(3).normal(0, 1e-6, 36)
     shifted[26:] -= 4e-6

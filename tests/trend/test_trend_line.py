@@ -22,12 +22,6 @@ NORRIS = np.array([
 ])  # fmt: skip
 """NIST StRD data set Norris (y, x)."""
 
-THERMOMETER = np.array([
-    [21.521, -0.171], [22.012, -0.169], [22.512, -0.166], [23.003, -0.159], [23.507, -0.164], [23.999, -0.165],
-    [24.513, -0.156], [25.002, -0.157], [25.503, -0.159], [26.010, -0.161], [26.511, -0.160],
-])  # fmt: skip
-"""JCGM 100, table H.6: thermometer reading and correction [degC]."""
-
 
 def of_days(t, y, v, days=None, shared=None):
     """The values merged by day; each value is a day of its own unless ``days`` says otherwise."""
@@ -56,18 +50,6 @@ def test_certified_line_whatever_the_stated_size(stated):
     assert std == pytest.approx([0.232818234301152, 0.429796848199937e-3], rel=1e-10)
     residual_std = np.sqrt(fit.scale * (stated**2 + fit.excess))
     assert residual_std == pytest.approx(0.884796396144373, rel=1e-10)
-
-
-def test_thermometer_of_the_gum():
-    """JCGM 100, H.3: line, standard uncertainties, correlation, and the correction at 30 degC."""
-    fit = fit_line(THERMOMETER[:, 0], THERMOMETER[:, 1], np.full(11, 1e-6))
-    coefficients, covariance = about(fit, 20.0)
-    assert [round(coefficients[0], 4), round(coefficients[1], 5)] == [-0.1712, 0.00218]
-    std = np.sqrt(np.diag(covariance))
-    assert [round(std[0], 4), round(std[1], 5)] == [0.0029, 0.00067]
-    assert covariance[0, 1] / std.prod() == pytest.approx(-0.930, abs=5e-4)
-    (value, _), covariance = about(fit, 30.0)
-    assert (round(value, 4), round(covariance[0, 0] ** 0.5, 4)) == (-0.1494, 0.0041)
 
 
 def exact(t, y, v, excess):

@@ -271,7 +271,8 @@ _SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
 """Variances of the scatter that are tried, relative to that about the line (or the mean stated variance)."""
 _WALKS = ((0.0,), (0.3, 0.7, 1.0), (0.3, 0.7, 1.0))
 """Causes of the scatter, each by the shares of it that walk: each day for itself, a walk from 0, its integral."""
-_LEAST_WEIGHT = 1e-6
+_LEAST_WEIGHT, _LEAST_SHARE = 1e-6, 1e-10
+"""Least weight of a model, and least stated variance relative to the scatter; smaller ones cannot be inverted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -329,7 +330,8 @@ def outlook(days: Days) -> Outlook:
     cause, share, before = (np.repeat(column, _SIZES.size) for column in zip(*kinds, strict=True))
     part = np.tile(_SIZES * size, len(kinds))
     still, moving = part * (1.0 - share), part * share / units[cause]
-    covariance = moving[:, None, None] * shapes[cause] + (days.variances + still[:, None])[:, None] * np.eye(n)
+    stated = np.maximum(days.variances, _LEAST_SHARE * size)
+    covariance = moving[:, None, None] * shapes[cause] + (stated + still[:, None])[:, None] * np.eye(n)
     factor = np.linalg.cholesky(covariance)
     whitened = np.linalg.solve(factor, np.column_stack([design, days.means - days.means[0]]))
     r = np.abs(np.linalg.qr(whitened, mode="r"))
