@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import re
+import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import piga
 from piga.records.run_file import read_run_file
-from piga.workbench.common import FIT, LAPSE, Jobs
+from piga.workbench import signals
+from piga.workbench.common import FIT, LAPSE, Bench, Jobs
 from piga.workbench.folder import Folder
-from piga.workbench.record import sheet
-from tests.workbench.conftest import Client, shipped_record
+from piga.workbench.record import _answer, _cache_of, sheet
+from tests.workbench.conftest import Client, shipped_record, wait_until
 from tests.workbench.logs import german
 
 NAME = "tumble-a.toml"
@@ -63,6 +67,46 @@ def test_a_direct_instrument_is_asked_for_its_own_unit(tmp_path: Path) -> None:
     (tmp_path / "direct.csv").write_text("time [s],output [V],fx [g],fy [g],fz [g]\n" + rows, encoding="utf-8")
     made = sheet(Folder(tmp_path), "direct.csv", {"role:1": "direct", KEY: "1,3 V/g"})
     assert made.draft.document["instrument"]["scale_factor"] == "1.3 V/g", made
+
+
+@pytest.mark.long
+def test_a_thinned_copy_of_a_long_record_is_answered_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone; then the whole record, which alone can be kept. A copy that cannot be fitted is no reason to wait."""
+    monkeypatch.setattr(signals, "LONG", 1000)
+    monkeypatch.setattr(signals, "THINNED", 5000)
+    run = shipped_record(tmp_path)
+    bench = Bench(Folder(tmp_path))
+    cache = _cache_of(bench, NAME)
+    every = signals.write_envelopes(piga.read_run(run), read_run_file(run), cache).every
+    assert every == 5
+
+    def asked() -> dict[str, Any]:
+        return _answer(bench, NAME, every, [])
+
+    def ended(job: Any) -> dict[str, Any]:
+        wait_until(lambda: job.state != "running")
+        return asked()
+
+    try:
+        job = asked()["fit"]
+        assert job.command[1].endswith("thinned.toml")
+        bench.jobs.stop(job)
+        assert ended(job)["fit"] == job  # what was stopped is not followed by the longer fit
+        bench.jobs.forget(job)
+        early = ended(asked()["fit"])
+        assert (early["every"], early["fit"].command[1]) == (5, NAME)
+        scale, whole = early["answer"].calibration["scale_factor"], ended(early["fit"])
+        assert (whole["every"], whole["fit"]) == (1, None)
+        assert scale.value == pytest.approx(whole["answer"].K, abs=3.0 * scale.std)
+        shutil.rmtree(tmp_path / ".piga-ui" / "trials")
+        for job in bench.jobs.all():
+            bench.jobs.forget(job)
+        (cache / "thinned.toml").write_text("nothing", encoding="utf-8")
+        assert ended(asked()["fit"])["fit"].command[1] == NAME
+    finally:
+        bench.jobs.stop_all()
 
 
 @pytest.mark.long

@@ -272,7 +272,7 @@ def _show(request: Request) -> Response:
     return render(
         request, "record", name, **left(bench, name), entry=entry, query=request.url.query, message=message, seen=seen,
         outline=outline, job=job, repairs=repairs, drawn=msgspec.json.encode(outline).decode(),
-        right=_answer(bench, name, request.query_params.getlist("term")) if outline else {},
+        right=_answer(bench, name, outline.every, request.query_params.getlist("term")) if outline else {},
     )  # fmt: skip
 
 
@@ -356,8 +356,11 @@ def _trial(bench: Bench, key: str) -> Kept | None:
     return bench.folder.kept(bench.folder.root / TRIALS / key)
 
 
-def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
-    """The answer for a choice of terms, or the job that computes it, or why there is none."""
+def _answer(bench: Bench, name: str, every: int, ticked: list[str]) -> dict[str, Any]:
+    """The answer for a choice of terms, or the job that computes it, or why there is none.
+
+    Of a long record that of each so many (``every``) samples comes first, alone: both at once would take longer.
+    """
     run_file = read_run_file(bench.folder.toml(name))
     usual = run_file.model.terms
     always = "k1" if "k1" in usual else "scale_factor"
@@ -366,21 +369,37 @@ def _answer(bench: Bench, name: str, ticked: list[str]) -> dict[str, Any]:
     shown = [(one, term_words(one).meaning, one in terms) for one in boxes if one != "k1" or one == always]
     values: dict[str, Any] = {
         "terms": shown, "always": always, "chosen": terms, "usual": set(terms) == set(usual),
-        "answer": None, "former": None, "fit": None,
+        "answer": None, "former": None, "fit": None, "every": 1,
     }  # fmt: skip
     try:
         check_terms(terms, output=run_file.unit)
     except PigaError as error:
         return values | {"message": str(error)}
-    key = hashlib.sha256(f"{_cache_of(bench, name).name} {' '.join(terms)}".encode()).hexdigest()[:16]
-    command = ("calibrate", name, "--terms", ",".join(terms), "--out", f"{TRIALS}{key}")
-    answer, fit = bench.jobs.made(lambda: _trial(bench, key), command, FIT, name, f"{TRIALS}{key}")
+    cache = _cache_of(bench, name)
+    key = hashlib.sha256(f"{cache.name} {' '.join(terms)}".encode()).hexdigest()[:16]
+
+    def made(run: str, to: str) -> tuple[Kept | None, Job | None]:
+        command = ("calibrate", run, "--terms", ",".join(terms), "--out", f"{TRIALS}{to}")
+        return bench.jobs.made(lambda: _trial(bench, to), command, FIT, name, f"{TRIALS}{to}")
+
+    early, fit, answer = None, None, _trial(bench, key)
+    if answer is None and every > 1:
+        early, fit = made(bench.folder.name(cache / "thinned.toml"), f"{key}-thinned")
+    if answer is None and (fit is None or fit.state == "failed"):
+        answer, fit = made(name, key)
+    if answer is None and early is not None:
+        values |= {"every": every, "rows": _rows(early.calibration, early.calibration)}
     last = [one for one in bench.answers.get(name, []) if one != key]
     former = next((kept for one in last if (kept := _trial(bench, one))), None)
     if answer is not None:
         bench.answers[name] = [key, *last][:2]
         values |= {"key": key, "rows": _rows(answer.calibration, (former or answer).calibration)}
-    return values | {"answer": answer, "former": former, "fit": fit, "message": fit.fault if fit else ""}
+    return values | {
+        "answer": answer or early,
+        "former": former,
+        "fit": fit,
+        "message": fit.fault if fit else "",
+    }
 
 
 def _rows(one: Calibration, other: Calibration) -> list[dict[str, Any]]:

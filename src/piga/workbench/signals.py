@@ -2,7 +2,8 @@
 
 A record is read once, by the reader of the calibration. Each of its columns is written to a cache folder, with the
 extremes of each 256 samples. A short span is drawn from the samples, a long one from these blocks. A gap of the record is
-a gap of the line: no block and no pixel holds samples of two stretches.
+a gap of the line: no block and no pixel holds samples of two stretches. Of a long record some samples are written as a
+record of their own, for a first answer.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
+from piga.formats.columns import data_table
 from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile
-from piga.results import Array
+from piga.results import Array, arrow_table
+from piga.text_files import toml_document, toml_text
 from piga.units import G0, offset_to_si, parse_unit
 
 BLOCK = 256
@@ -34,7 +37,9 @@ _MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
 MOVING = 0.01 * G0
 """Specific force [m/s^2] by which a sample of a moving stand differs from its position, at least."""
-FORM = 10
+LONG, THINNED = 1_000_000, 50_000
+"""Samples of a record of which a thinned copy is made, and about the samples of the copy."""
+FORM = 11
 """Version of the cache's files."""
 
 
@@ -74,6 +79,11 @@ class Outline(msgspec.Struct, frozen=True):
     findings: tuple[tuple[Event, float | None], ...]
     phase_kept: bool
 
+    @property
+    def every(self) -> int:
+        """Each how many samples the thinned copy has one; 1 if there is none."""
+        return self.samples // THINNED if self.samples > LONG else 1
+
 
 _OUTLINE = msgspec.json.Decoder(Outline)
 """Made once: msgspec may crash if two threads meet a type for the first time."""
@@ -111,6 +121,8 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
         for name, array in {"t": t, "breaks": breaks, "blocks": blocks, "row": run.row}.items():
             np.save(part / f"{name}.npy", array)
         outline = _outline(run, run_file, t, tuple(signals))
+        if outline.every > 1:
+            _write_thinned(run, outline.every, part)
         (part / "outline.json").write_bytes(msgspec.json.encode(outline))
         for place in folder.parent.glob(f"{folder.name.partition('-')[0]}-*"):
             shutil.rmtree(place, ignore_errors=True)
@@ -118,6 +130,16 @@ def write_envelopes(run: Run, run_file: RunFile, folder: Path) -> Outline:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return outline
+
+
+def _write_thinned(run: Run, every: int, folder: Path) -> None:
+    """Write each so many samples of a record as Parquet with a run file: that of the record, with other data."""
+    from pyarrow.parquet import write_table
+
+    write_table(arrow_table(run.table_columns(slice(None, None, every))), folder / "thinned.parquet")
+    tables = {name: table for name, table in toml_document(Path(run.source)).items() if name != "data"}
+    text = toml_text(tables) + "\n" + data_table(run, "thinned.parquet") + "\n"
+    (folder / "thinned.toml").write_text(text, encoding="utf-8")
 
 
 def _extremes(least: Array, largest: Array, starts: NDArray[np.int64]) -> Array:
