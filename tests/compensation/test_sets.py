@@ -101,6 +101,7 @@ def test_a_stretch_begins_the_differences_anew(axes) -> None:
         assert np.nanmax(error[23:]) < 1e-12
         assert (error[20:22] < (1e-7, 1e-9)).all()
         assert np.flatnonzero(rows.flagged("no_increment")).tolist() == [0, 20]
+        assert np.isnan(rows.f[[0, 20]]).all()
         assert (rows.dv[[0, 20]] == 0.0).all()
     for uncertainty in (True, False):  # without it three instruments go a way of their own
         sampled = SetCompensator(mounted, sampled=True, uncertainty=uncertainty).push(
