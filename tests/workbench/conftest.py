@@ -26,6 +26,8 @@ from tests.memory import kilobytes
 
 os.environ["PYTHONPATH"] = str(Path(piga.__file__).resolve().parent.parent)
 """Servers and jobs have other working folders. They run the piga that is tested."""
+Headers = dict[str, str]
+Answer = tuple[int, Headers, bytes]
 READY = re.compile(r"piga ui: (\S+:(\d+))/\?token=(\S+)\n")
 
 
@@ -36,21 +38,16 @@ class Client:
         self.port, self.token, self.cookie = port, token, ""
         self.home = f"http://127.0.0.1:{port}"
 
-    def connection(self) -> http.client.HTTPConnection:
-        """A new connection to the server."""
-        return http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
-
     def ask(
         self,
         path: str,
         method: str = "GET",
         body: bytes | None = None,
-        headers: dict[str, str] | None = None,
-        *,
+        headers: Headers | None = None,
         host: str = "",
-    ) -> tuple[int, dict[str, str], bytes]:
+    ) -> Answer:
         """Status, headers and body of the answer."""
-        connection = self.connection()
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         sent = {"Host": host or self.home.partition("//")[2]}
         sent |= {"Cookie": self.cookie} if self.cookie else {}
         sent |= headers or {}
@@ -72,7 +69,7 @@ class Client:
         assert got == status, body.decode()
         return body.decode()
 
-    def post(self, path: str, fields: dict[str, object] | None = None) -> tuple[int, dict[str, str], bytes]:
+    def post(self, path: str, fields: dict[str, object] | None = None) -> Answer:
         """Send a form."""
         body = urlencode(fields or {}, doseq=True).encode()
         headers = {"Origin": self.home, "Content-Type": "application/x-www-form-urlencoded"}
@@ -228,15 +225,10 @@ class Browser:
         result = Axe().run(
             self.page, options={"runOnly": ["wcag2a", "wcag2aa", "best-practice"], "iframes": False}
         )
-        problems = [
-            f"{item['id']}: {item['help']}: {item['nodes'][0]['html'][:120]}"
-            for item in result.response["violations"]
-        ]
+        problems = [(item["id"], item["nodes"][0]["html"][:120]) for item in result.response["violations"]]
         assert not problems, (self.page.url, problems)
-        width = self.page.evaluate(
-            "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-        )
-        assert width <= 0, self.page.url
+        root = "document.documentElement"
+        assert self.page.evaluate(f"{root}.scrollWidth <= {root}.clientWidth"), self.page.url
 
 
 @pytest.fixture(scope="module")
