@@ -39,12 +39,3 @@ def test_any_size_of_turn_comes_back(size: float) -> None:
     v = size * np.array([0.36, -0.48, 0.8])
     back = matrix_to_rotation_vector(rotation_vector_to_matrix(v))
     assert back == pytest.approx(v, rel=1e-14, abs=1e-30 if size < 3.0 else 1e-12)
-
-
-def test_stacks() -> None:
-    v = np.array([[[0.1, 0.2, 0.3], [0.0, 0.0, 0.0]], [[1.0, -1.0, 0.5], [0.0, 2.0, 0.0]]])
-    matrices = rotation_vector_to_matrix(v)
-    assert matrices.shape == (2, 2, 3, 3)
-    assert matrix_to_rotation_vector(matrices) == pytest.approx(v, abs=1e-14)
-    for k in np.ndindex(2, 2):
-        assert matrices[k] == pytest.approx(rotation_vector_to_matrix(v[k]), abs=0)

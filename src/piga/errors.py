@@ -6,9 +6,10 @@ The command line turns a :class:`PigaError` into one message on stderr and exit 
 
 from __future__ import annotations
 
+import copyreg
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -88,16 +89,9 @@ class PigaError(Exception):
         self.fixes = tuple(fixes)
         super().__init__(f"{message}\n  remedy: {remedy}")
 
-    def __reduce__(self) -> tuple[Callable[..., PigaError], tuple[type[PigaError], dict[str, Any]]]:
-        return _restored, (type(self), {**self.__dict__, "args": self.args})
-
-
-def _restored(kind: type[PigaError], state: dict[str, Any]) -> PigaError:
-    """An error that comes from another process, with message and remedy."""
-    error = kind.__new__(kind)
-    for name, value in state.items():
-        setattr(error, name, value)
-    return error
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Errors pass from one process to another with all that they carry."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class MissingPackageError(PigaError, ImportError):
