@@ -3,8 +3,8 @@
 Everything is written in a hidden folder beside its place, synchronised to disk, and renamed. A new folder of results
 appears by one rename. Into a folder that exists the files are moved one by one, between two marks:
 ``.piga-moving-COMMAND`` while they are moved, ``.piga-results-COMMAND.json`` with their sizes and times last. A reader that
-sees the first mark says that the folder holds results of two runs. A killed run leaves its hidden folder behind; the next
-run that writes there removes it.
+sees the first mark says that the folder holds results of two runs. A killed run leaves its hidden folder behind; a run that
+writes there a day later removes it.
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ import json
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from piga.errors import ArgumentError, PigaError
 
 _HIDDEN, _MARK, _MOVING = ".piga-stage-", ".piga-results-", ".piga-moving-"
+_LEFT = 86400.0
+"""Age above which a hidden folder is that of a killed run [s]."""
 CALIBRATION_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
 """Names of the result files of a calibration."""
 
@@ -55,58 +59,36 @@ def write_whole(
 def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
     """Sync a complete file to disk, and rename it to ``target`` on the same file system."""
     _sync(part)
-    if replace:
-        part.replace(target)
-    else:
-        try:
-            os.link(part, target)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without hard links
-            if target.exists():
-                raise FileExistsError(17, "exists", str(target)) from None
-            part.rename(target)
+    if not replace:
+        target.touch(exist_ok=False)
+    part.replace(target)
     _sync(target.parent)
 
 
 @contextmanager
 def _hidden_folder(home: Path) -> Iterator[Path]:
-    """A hidden folder of this process in ``home``, removed at the end."""
-    with ExitStack() as stack:
-        with _locked(home):
-            _remove_leftovers(home)
-            hidden = Path(tempfile.mkdtemp(prefix=_HIDDEN, dir=home))
-            stack.enter_context(_locked(hidden))
-        try:
-            yield hidden
-        finally:
-            shutil.rmtree(hidden, ignore_errors=True)
-
-
-def _remove_leftovers(home: Path) -> None:
-    """Remove the hidden folders of processes that were killed: nobody holds their lock."""
+    """A hidden folder in ``home``, removed at the end; those that killed runs left there, too."""
     for left in home.glob(f"{_HIDDEN}*"):
-        with suppress(OSError), _locked(left, wait=False) as got_lock:
-            if got_lock:
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > _LEFT:
                 shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(prefix=_HIDDEN, dir=home, ignore_cleanup_errors=True) as hidden:
+        yield Path(hidden)
 
 
 @contextmanager
-def _locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
-    """Lock a folder. False if another process holds the lock, or there are no locks of folders."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Lock a folder against other runs, where the system has locks of folders."""
     if os.name == "nt":
-        yield False
+        yield
         return
     import fcntl
 
     handle = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            got_lock = True
-        except OSError:
-            got_lock = False
-        yield got_lock
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
     finally:
         os.close(handle)
 
@@ -133,8 +115,8 @@ def _free_folder(
     A folder is free if it holds none of the ``names``, or only unchanged results of the same command and the same inputs, or
     with ``force``. An input is recognised under any name, and never replaced.
     """
-    sources, number, place = [path for path in inputs if path.exists()], 1, folder
-    while True:
+    sources = [path for path in inputs if path.exists()]
+    for place in (folder if number == 1 else folder / str(number) for number in count(1)):
         if place.exists() and not place.is_dir():
             raise ArgumentError(f"{place}: is a file", remedy="choose another folder")
         there = _matching(place, names)
@@ -150,8 +132,8 @@ def _free_folder(
             )
         mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
         if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
-            return place
-        number, place = number + 1, folder / str(number + 1)
+            break
+    return place
 
 
 def _folder_in_the_way(path: Path) -> ArgumentError:
@@ -201,33 +183,24 @@ def results(
     such names are removed.
     """
     folder = _free_folder(folder, command, names, inputs, force=force)
-    try:
-        with ExitStack() as stack:
-            try:
-                folder.parent.mkdir(parents=True, exist_ok=True)
-                with suppress(OSError), _locked(folder.parent):  # a folder that cannot be listed
-                    _remove_leftovers(folder.parent)
-                home = folder if folder.is_dir() else folder.parent
-                stage = stack.enter_context(_hidden_folder(home)) / "results"
-                stage.mkdir()
-            except OSError as error:
-                raise ArgumentError(
-                    f"{folder}: results cannot be written there ({error.strerror})",
-                    remedy="choose another folder",
-                ) from None
-            yield stage, folder
-            mark = _finish(stage, command, _key(command, inputs))
-            if folder.is_dir():
-                _move(stage, folder, command, names, mark)
-            else:
-                stage.rename(folder)
-                _sync(folder.parent)
-    except KeyboardInterrupt as stop:
-        left = f"{'as before' if folder.is_dir() else 'not made'}; nothing of this run was kept"
-        if any(folder.glob(f"{_MOVING}*")):
-            left = "results of two runs; run the command again with --force"
-        stop.add_note(f"{folder}: {left}")
-        raise
+    with ExitStack() as stack:
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            home = folder if folder.is_dir() else folder.parent
+            stage = stack.enter_context(_hidden_folder(home)) / "results"
+            stage.mkdir()
+        except OSError as error:
+            raise ArgumentError(
+                f"{folder}: results cannot be written there ({error.strerror})",
+                remedy="choose another folder",
+            ) from None
+        yield stage, folder
+        mark = _finish(stage, command, _key(command, inputs))
+        if folder.is_dir():
+            _move(stage, folder, command, names, mark)
+        else:
+            stage.rename(folder)
+            _sync(folder.parent)
 
 
 def check_results(folder: Path) -> None:
@@ -267,14 +240,18 @@ def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: P
         if target.is_dir() or target.parent.is_symlink():
             raise _folder_in_the_way(target)
     moving = folder / f"{_MOVING}{command}"
-    with _locked(folder):
-        moving.touch()
-        _sync(folder)
-        for path, target in zip(files, targets, strict=True):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
-        for path in set(_matching(folder, names)) - set(targets):
-            path.unlink()
-        mark.replace(folder / mark.name)
-        _sync(folder)
-        moving.unlink()
+    try:
+        with _locked(folder):
+            moving.touch()
+            _sync(folder)
+            for path, target in zip(files, targets, strict=True):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(target)
+            for path in set(_matching(folder, names)) - set(targets):
+                path.unlink()
+            mark.replace(folder / mark.name)
+            _sync(folder)
+            moving.unlink()
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"{folder}: results of two runs; run the command again with --force")
+        raise

@@ -34,15 +34,7 @@ def report(
 
 
 class Steps:
-    """The steps of one call, reported in order.
-
-    Parameters
-    ----------
-    progress:
-        The caller's function, or None.
-    total:
-        Number of steps.
-    """
+    """The steps of one call, reported in order to the caller's function, if there is one. ``total`` is their number."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._total, self._done, self._parts = progress, total, 0, 0

@@ -77,6 +77,10 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
         (["check", "empty.toml"], "empty.toml: the file is empty"),
         (["init", "run.csv", "--column", "n"], "--column n: is not name=kind"),
         (["compensate", "run.toml", "--out", "o.csv"], "--calibration is missing"),
+        (
+            ["compensate", "run.toml", "b.toml", "--out", "o.csv"],
+            "piga cannot know how the instruments are mounted",
+        ),
         (["compensate", "run.toml", "--out", "o.csv", "--rate", "0 Hz"], "--rate 0 Hz: must be positive"),
         (["compensate", "run.toml", "--identify-phase", "-1 s"], "--identify-phase -1 s: must be positive"),
         (["compensate", "run.toml", "--max-age", "-1"], "Invalid value for '--max-age'"),

@@ -53,7 +53,7 @@ records import all.zip --store t.sqlite --operator A --reason B
 records list --store t.sqlite
 records show 2 --store t.sqlite
 records reproduce 1 --store s.sqlite
-records backup copy.zip --store s.sqlite
+records export copy.zip --store s.sqlite
 records restore copy.zip --store u.sqlite
 records trend history/0 history/1 history/2 history/3 history/4 history/5 history/6 history/7
 certificate issue lab/calibration.json --data examples/certificate.toml --out cert --dcc --key K --certificate C

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import glob
 import io
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
+import piga
 from piga.cli.common import (
-    ForceOption,
-    JsonOption,
-    MethodOption,
-    PhasesOption,
-    TermsOption,
+    Ending,
     argument,
     counted,
     deliver,
     deliver_file,
-    files_named_in,
     flag,
     note,
     option,
@@ -35,63 +30,50 @@ from piga.data import EXAMPLE, copy_example
 from piga.errors import ArgumentError, PigaError
 from piga.output import CALIBRATION_RESULTS
 
-if TYPE_CHECKING:
-    from piga.calibration.summary import RunSummary
-    from piga.compensation import Compensated, CompensatedSet, Compensator, Phase
-    from piga.compensation.result import Inputs
-    from piga.records import Calibration, Run
-    from piga.reports.render.page import Page
-
-RunFilesArgument = Annotated[
-    list[Path],
-    argument("RUN.toml", "Run file. Several files, or summaries of runs (.json), are calibrated together."),
-]
-
 
 def calibrate(
-    runs: RunFilesArgument,
+    runs: Annotated[
+        list[Path],
+        argument("RUN.toml", "Run file. Several files, or summaries of runs (.json), are calibrated together."),
+    ],
     out: Annotated[Path | None, option("DIR", "Folder for the results [default: RUN-calibration].")] = None,
-    terms: TermsOption = None,
-    method: MethodOption = None,
-    phases: PhasesOption = None,
+    terms: Annotated[str | None, option("A,B,...", "Terms to estimate, instead of the run file's.")] = None,
+    method: Annotated[str | None, option("NAME", "Estimator: information | rate | revolutions.")] = None,
+    phases: Annotated[
+        str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
+    ] = None,
     per_run: Annotated[
         str | None, option("A,B,...", "Terms of each run alone [default: k0]; '' for none.")
     ] = None,
     summary: Annotated[bool, flag("--summary", "Also write summaries, to calibrate without the data.")] = False,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Estimate the coefficients of an instrument from its runs.
 
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     A set with reference = "gravity-norm" gives set-calibration.json and report.html.
     """
-    inputs = [path for run in runs for path in files_named_in(run)]
-    default = f"{runs[0].stem}-calibration" if len(runs) == 1 else "joint-calibration"
-    directory = out or runs[0].parent / default
     from piga.gravity_norm.estimate import is_set_file
-
-    if any(is_set_file(run) for run in runs):
-        plain = not any((terms, method, phases, per_run, summary))
-        _calibrate_set(runs, directory, inputs, plain=plain, force=force, as_json=as_json)
-        return
-    from piga.calibration.summary import RunSummary
     from piga.records.calibration.document import to_document
 
-    with deliver(directory, "calibrate", CALIBRATION_RESULTS, inputs, force=force, as_json=as_json) as to:
-        items = _read_items(runs)
+    directory = out or runs[0].parent / f"{runs[0].stem if len(runs) == 1 else 'joint'}-calibration"
+    if any(is_set_file(run) for run in runs):
+        _calibrate_set(runs, directory, plain=not any((terms, method, phases, per_run, summary)))
+        return
+    with deliver(directory, "calibrate", CALIBRATION_RESULTS, runs) as to:
+        with progress("reading"):
+            items = [
+                piga.RunSummary.from_json(run) if run.suffix == ".json" else piga.read_run(run) for run in runs
+            ]
         with progress("calibrating") as advance:
-            from piga.calibration.calibrate import calibrate as estimate
-
-            calibration = estimate(
+            calibration = piga.calibrate(
                 items, _names(terms), method, phases=phases, per_run=_names(per_run), progress=advance
             )
         with progress("writing the report" if report else "writing"):
             write_results(calibration, to.stage, report=report)
             for item in items if summary else []:
-                if not isinstance(item, RunSummary):
-                    made = RunSummary.of(item)
+                if isinstance(item, piga.Run):
+                    made = piga.RunSummary.of(item)
                     made.to_json(to / f"summary-{made.name}.json")
         to.tell(lambda: to_document(calibration), calibration.summary)
 
@@ -100,9 +82,7 @@ def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _calibrate_set(
-    runs: list[Path], directory: Path, inputs: list[Path], *, plain: bool, force: bool, as_json: bool
-) -> None:
+def _calibrate_set(runs: list[Path], directory: Path, *, plain: bool) -> None:
     from piga.gravity_norm import calibrate_set_file
     from piga.reports.gravity_norm import brief, page, set_document
 
@@ -112,21 +92,13 @@ def _calibrate_set(
             remedy="name this file alone, without these options",
         )
     names = ("set-calibration.json", "report.html")
-    with deliver(directory, "calibrate", names, inputs, force=force, as_json=as_json) as to:
+    with deliver(directory, "calibrate", names, runs) as to:
         with progress("calibrating"):
             calibration = calibrate_set_file(runs[0])
         to.show(set_document(calibration), page(calibration), brief(calibration), *names)
 
 
-def _read_items(paths: list[Path]) -> list[Run | RunSummary]:
-    from piga.calibration.summary import RunSummary
-    from piga.stand import read_run
-
-    with progress("reading"):
-        return [RunSummary.from_json(path) if path.suffix == ".json" else read_run(path) for path in paths]
-
-
-def write_results(calibration: Calibration, directory: Path, *, report: bool = True) -> None:
+def write_results(calibration: piga.Calibration, directory: Path, *, report: bool = True) -> None:
     """Write the results. A calibration of summaries alone has no residuals to write."""
     from piga.formats.columns import write_residuals
 
@@ -139,26 +111,20 @@ def write_results(calibration: Calibration, directory: Path, *, report: bool = T
 
 def demo(
     out: Annotated[Path, option("DIR", "Folder for the results.")] = Path("piga-demo"),
-    force: ForceOption = False,
 ) -> None:
     """Calibrate and compensate the shipped record, with a report."""
     note("demo of the shipped record; the first time takes up to a minute")
-    from piga.compensation import compensate as compensate_run
-    from piga.stand import read_run
-
     names = (*CALIBRATION_RESULTS, "compensated.parquet", f"{EXAMPLE}.csv", f"{EXAMPLE}.toml")
-    with deliver(out, "demo", names, (), force=force, as_json=False) as to:
+    with deliver(out, "demo", names, ()) as to:
         run = copy_example(to.stage)
         with progress("reading"):
-            record = replace(read_run(run), source=f"{to.folder}/{run.name}")
+            record = replace(piga.read_run(run), source=f"{to.folder}/{run.name}")
         with progress("calibrating") as show:
-            from piga.calibration.calibrate import calibrate as estimate
-
-            calibration = estimate([record], progress=show)
+            calibration = piga.calibrate([record], progress=show)
         with progress("writing the report"):
             write_results(calibration, to.stage)
         with progress("compensating"):
-            compensate_run(record, calibration).to_parquet(to / "compensated.parquet")
+            piga.compensate(record, calibration).to_parquet(to / "compensated.parquet")
         here = f"{sys.executable} -m piga"  # in an environment that is not activated
         program = "piga" if shutil.which("piga") else here
         again = f"To go on: change {to.folder}/{run.name} and run: {program} calibrate {to.folder}/{run.name}"
@@ -169,8 +135,8 @@ def demo(
 
 
 def compensate(
-    run: Annotated[list[Path], argument("RUN.toml", "Run file, triad file, three run files, or - (live).")],
-    calibration: Annotated[list[Path] | None, option("CALIBRATION.json", "Calibration; one per run.")] = None,
+    run: Annotated[list[Path], argument("RUN.toml", "Run file, triad file, or - (live).")],
+    calibration: Annotated[Path | None, option("CALIBRATION.json", "Calibration of the run.")] = None,
     out: Annotated[Path, option("FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
@@ -185,79 +151,61 @@ def compensate(
     ] = None,
     other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
     as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
-    force: ForceOption = False,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
     arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
     report: Annotated[Path | None, option("FILE.html", "Also write a page with figures.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
-    """Compensate runs or live data: specific force and velocity.
+    """Compensate a run or live data: specific force and velocity.
 
     One run gives the columns t, ax, dv, u_ax, flags. Several instruments are solved together.
     """
-    from piga.compensation import Compensator
-    from piga.compensation.model import Phase
     from piga.compensation.result import format_of, summary_of, write_rows
     from piga.compensation.sets import is_triad_file
-    from piga.records.calibration.document import read_with_digest
     from piga.units import to_si
 
-    read = [read_with_digest(path) for path in calibration or []]
-    calibrations = [one if as_run is None else one.for_run(as_run) for one, _ in read]
-    sources = [(path.name, digest) for path, (_, digest) in zip(calibration or [], read, strict=True)]
-    given = None if phase is None else Phase(to_si(phase, "rad", what="--phase"))
-    rest, hertz = _positive("--identify-phase", identify_phase, "s"), _positive("--rate", rate, "Hz")
-    live, several = str(run[0]) == "-", len(run) > 1 or is_triad_file(run[0])
-    options = {"identify_phase": rest, "phase": given, "rate": hertz, "report": report, "as_run": as_run}
-    _refuse("a live stream" if live else "several instruments" if several else "", options)
-    if live:
-        _live(
-            Compensator(
-                _one(calibrations),
-                kind=kind,
-                method=method,
-                phase=given,
-                uncertainty=uncertainty,
-                max_age_days=max_age,
-            ),
-            arrow,
+    if len(run) > 1:
+        raise ArgumentError(
+            f"{len(run)} run files: piga cannot know how the instruments are mounted",
+            remedy="name one triad file, which holds runs, calibrations and axes",
         )
+    rest, hertz = _positive("--identify-phase", identify_phase, "s"), _positive("--rate", rate, "Hz")
+    options: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "method": method}
+    options["phase"] = None if phase is None else piga.Phase(to_si(phase, "rad", what="--phase"))
+    live, several = str(run[0]) == "-", is_triad_file(run[0])
+    where = "a live stream" if live else "several instruments" if several else ""
+    given = {"identify_phase": rest, "phase": phase, "rate": hertz, "report": report, "as_run": as_run}
+    for name, remedy in _NO_EFFECT.get(where, {}).items():
+        if given.get(name, method == "published"):
+            raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
+    if live:
+        used, _ = _calibration(calibration, as_run)
+        _live(piga.Compensator(used, kind=kind, **options), arrow)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
-    arguments: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "force": other_serial}
-    shown = {
-        "rate": "as recorded" if hertz is None else f"written at {hertz:.6g} Hz, shown as recorded",
-        "calibration flagged when older than": "never" if max_age is None else f"{max_age:g} days",
-        "another serial number allowed": "yes" if other_serial else "no",
-    }
-    inputs = [path for one in run for path in files_named_in(one)] + (calibration or [])
+    format_of(out)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
-    command, made = f"compensate-{out.stem[:40]}", [out, *([report] if report else [])]
-    names = [glob.escape(path.name) for path in made if path.parent == out.parent]
-    with ExitStack() as stack:
-        to = stack.enter_context(deliver(out.parent, command, names, inputs, force=force, as_json=as_json))
-        page_to = to
-        if report is not None and report.parent != out.parent:
-            other = deliver_file(report, command, inputs, force=force, as_json=as_json)
-            page_to = stack.enter_context(other)
-        format_of(out)
+    inputs = [*run, *([calibration] if calibration else [])]
+    page = nullcontext() if report is None else deliver_file(report, "compensate-page", inputs)
+    with page as page_to, deliver_file(out, "compensate", inputs) as to:
+        options["force"] = other_serial
         if several:
-            solved = _together(run, sources, calibrations, method, arguments, report is not None)
+            solved = _together(run[0], report is not None, options)
         else:
-            solved = _single(run[0], sources, _one(calibrations), method, given, rest, arguments)
+            solved = _single(run[0], *_calibration(calibration, as_run), rest, options)
         with progress("writing", solved.result.size) as advance:
             period = None if hertz is None else 1.0 / hertz
             written = write_rows(
                 solved.result, to / out.name, period=period, inputs=solved.inputs, progress=advance
             )
-        if report is not None:
-            from piga.reports.render.page import write_page
-
-            with progress("writing the report"):
-                write_page(solved.page(shown), page_to / report.name)
+        if page_to is not None and report is not None:
+            solved.words["rate"] = f"written at {hertz:.6g} Hz, shown as recorded" if hertz else "as recorded"
+            age = "never" if max_age is None else f"{max_age:g} days"
+            solved.words["calibration flagged when older than"] = age
+            solved.words["another serial number allowed"] = "yes" if other_serial else "no"
+            _write_page(solved, page_to / report.name)
         summary = summary_of(solved.result, solved.records, written, solved.inputs)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
         document["calibrations"] = [
@@ -266,7 +214,7 @@ def compensate(
             for used in solved.calibrations
         ]
         to.tell(lambda: document, lambda: counted(summary["rows"], "row"))
-    for line in [] if as_json else _notes(document):
+    for line in [] if Ending.as_json else _notes(document):
         note(line)
 
 
@@ -289,138 +237,110 @@ def _notes(document: dict[str, Any]) -> Iterator[str]:
         yield from (f"piga: calibration of {used['serial']}: {doubt}" for doubt in used["doubts"])
 
 
-_PHASE = "give the phase, or use piga.compensation.PhaseFinder"
 _NO_EFFECT = {
     "a live stream": {
-        "identify_phase": _PHASE,
+        "identify_phase": "give the phase, or use piga.compensation.PhaseFinder",
         "rate": "resample with piga.compensation.Resampler",
         "report": "record the stream, then compensate the record",
     },
     "several instruments": {
-        "identify_phase": _PHASE,
+        "identify_phase": "give each [[triad.instrument]] its phase",
         "phase": "give each [[triad.instrument]] its phase",
         "as_run": "compensate each instrument by itself",
+        "method published": "leave it out: a set is solved exactly",
     },
 }
 """Options that would have no effect, and the alternative."""
 
 
-def _refuse(where: str, options: Mapping[str, object]) -> None:
-    for name, remedy in _NO_EFFECT.get(where, {}).items():
-        if options[name]:
-            raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
+def _calibration(path: Path | None, as_run: str | None) -> tuple[piga.Calibration, tuple[str, str]]:
+    """The calibration of the command, and its file with the SHA-256 as read."""
+    from piga.records.calibration.document import read_with_digest
 
-
-def _one(calibrations: list[Calibration]) -> Calibration:
-    if len(calibrations) != 1:
-        given = f"is given {len(calibrations)} times" if calibrations else "is missing"
-        raise ArgumentError(
-            f"--calibration {given}",
-            remedy="name the one calibration of the run: --calibration CALIBRATION.json",
-        )
-    return calibrations[0]
+    if path is None:
+        remedy = "name the calibration of the run: --calibration CALIBRATION.json"
+        raise ArgumentError("--calibration is missing", remedy=remedy)
+    calibration, digest = read_with_digest(path)
+    return calibration if as_run is None else calibration.for_run(as_run), (path.name, digest)
 
 
 class _Solved(NamedTuple):
-    """A compensation: result, records, files and calibrations used, and its page, made of the options in words."""
+    """A compensation, what was read for it, and how a set is mounted. The page shows ``names`` and ``words``."""
 
-    result: Compensated | CompensatedSet
-    records: Sequence[Run]
-    inputs: Inputs
-    calibrations: list[Calibration]
-    page: Callable[[dict[str, str]], Page]
+    result: piga.Compensated | piga.CompensatedSet
+    records: Sequence[piga.Run]
+    calibrations: list[piga.Calibration]
+    mounted: list[piga.Mounted]
+    inputs: list[tuple[str, str]]
+    names: list[str]
+    words: dict[str, str]
 
 
-def _is_another_record(record: Run, calibration: Calibration) -> bool:
-    """True if no data file of the record was calibrated."""
-    data = {digest for file, digest in record.input_sha256.items() if not file.endswith(".toml")}
-    return not data & {*calibration.provenance.input_sha256.values()}
+def _write_page(solved: _Solved, path: Path) -> None:
+    from piga.reports.compensation import compensation_page, of_record, of_set
+
+    with progress("writing the report"):
+        result = solved.result
+        if isinstance(result, piga.Compensated):
+            outline = of_record(solved.records[0], solved.calibrations[0], result)
+        else:
+            outline = of_set(solved.records, solved.mounted, result)
+        files = list(dict.fromkeys(solved.inputs))
+        piga.reports.write_page(compensation_page(outline, solved.names, files, solved.words), path)
 
 
 def _single(
     run: Path,
-    sources: list[tuple[str, str]],
-    calibration: Calibration,
-    method: str | None,
-    phase: Phase | None,
+    calibration: piga.Calibration,
+    source: tuple[str, str],
     rest: float | None,
-    arguments: dict[str, Any],
+    options: dict[str, Any],
 ) -> _Solved:
-    """Compensate one recorded run of any length. ``sources`` are the calibration file and its SHA-256 as read."""
-    from piga.compensation import identify_phase
-    from piga.compensation.compensator import compensate as compensate_run
-    from piga.compensation.model import check_method
-    from piga.stand import read_run
-
+    """Compensate one recorded run of any length."""
     with progress("reading"):
-        record = read_run(run)
-    inputs = [*record.input_sha256.items(), *sources]
+        record = piga.read_run(run)
+    phase, used = options["phase"], "of the calibration"
     if rest is not None:
-        phase = identify_phase(record, calibration, rest)
-        note(f"phase {phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad")
-    elif phase is None and "tan_beta" in calibration.terms and _is_another_record(record, calibration):
-        note(
-            "the phase of the calibration is used: right if the output still counts from the same zero; "
-            "after a new power-up use --identify-phase '60 s'"
-        )
+        phase = options["phase"] = piga.identify_phase(record, calibration, rest)
+    elif phase is None and "tan_beta" in calibration.terms:
+        data = {digest for file, digest in record.input_sha256.items() if not file.endswith(".toml")}
+        if not data & {*calibration.provenance.input_sha256.values()}:
+            note(
+                "the phase of the calibration is used: right if the output still counts from the same zero; "
+                "after a new power-up use --identify-phase '60 s'"
+            )
+    if phase is not None:
+        used = f"{phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad"
+    if rest is not None:
+        note(f"phase {used}")
     with progress("compensating", record.size) as advance:
-        result = compensate_run(record, calibration, method=method, phase=phase, progress=advance, **arguments)
-
-    def page(shown: dict[str, str]) -> Page:
-        from piga.reports.compensation import compensation_page, of_record
-
-        words = {"method": check_method(method, calibration)}
-        if not calibration.direct:
-            given = f"{phase.value:.6g} rad, standard uncertainty {phase.std:.2g} rad" if phase else ""
-            words["phase used"] = given or "of the calibration"
-        data = inputs[1 if len(inputs) > 2 else 0][0]
-        return compensation_page(of_record(record, calibration, result), (data,), inputs, words | shown)
-
-    return _Solved(result, [record], inputs, [calibration], page)
+        result = piga.compensate(record, calibration, progress=advance, **options)
+    words = {"method": result.method} | ({} if calibration.direct else {"phase used": used})
+    names = [file for file in record.input_sha256 if not file.endswith(".toml")]
+    inputs = [*record.input_sha256.items(), source]
+    return _Solved(result, [record], [calibration], [], inputs, names[:1] or [run.name], words)
 
 
-def _together(
-    runs: list[Path],
-    sources: list[tuple[str, str]],
-    calibrations: list[Calibration],
-    method: str | None,
-    arguments: dict[str, Any],
-    details: bool,
-) -> _Solved:
-    """Solve several instruments together, with the calibrations given or those that the triad file names."""
-    from piga.compensation.sets import compensate_set, orthogonal_triad, read_member, read_triad
+def _together(path: Path, details: bool, options: dict[str, Any]) -> _Solved:
+    """Solve several instruments together."""
+    from piga.compensation.sets import read_member, read_triad
 
-    if method == "published":
-        raise ArgumentError(
-            "--method published is not for several instruments", remedy="leave it out: a set is solved exactly"
-        )
-    if len(runs) == 1:
-        paths, mounted, inputs = read_triad(runs[0])
-    elif len(runs) == len(calibrations) == 3:
-        paths, mounted, inputs = runs, orthogonal_triad(calibrations), sources
-    else:
-        raise ArgumentError(
-            f"{len(runs)} runs and {len(calibrations)} calibrations: piga cannot know how the instruments are mounted",
-            remedy="three runs and three calibrations in the order x, y, z, or a triad file with axes",
-        )
+    paths, mounted, inputs = read_triad(path)
     with progress("reading"):
-        records = [read_member(path) for path in paths]
-    inputs = [*inputs, *(file for record in records for file in record.input_sha256.items())]
+        records = [read_member(one) for one in paths]
+    inputs += [file for record in records for file in record.input_sha256.items()]
     with progress("compensating", records[0].size) as advance:
-        result = compensate_set(records, mounted, details=details, progress=advance, **arguments)
-
-    def page(shown: dict[str, str]) -> Page:
-        from piga.reports.compensation import compensation_page, of_set
-
-        serials = [(path.stem, item.calibration.serial) for path, item in zip(paths, mounted, strict=True)]
-        names = tuple(f"{name} ({serial})" if serial else name for name, serial in serials)
-        outline, files = of_set(records, mounted, result), list(dict.fromkeys(inputs))
-        return compensation_page(outline, names, files, {"method": "exact"} | shown)
-
-    return _Solved(result, records, inputs, [item.calibration for item in mounted], page)
+        given = {name: options[name] for name in ("uncertainty", "max_age_days", "force")}
+        result = piga.compensate_set(records, mounted, details=details, progress=advance, **given)
+    used = [item.calibration for item in mounted]
+    names = [
+        f"{one.stem} ({item.serial})" if item.serial else one.stem
+        for one, item in zip(paths, used, strict=True)
+    ]
+    return _Solved(result, records, used, mounted, inputs, names, {"method": "exact"})
 
 
-def _live(stream: Compensator, arrow: bool) -> None:
+def _live(stream: piga.Compensator, arrow: bool) -> None:
     """Compensate standard input until it ends."""
     from piga.compensation.live import compensate_arrow, compensate_lines
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import difflib
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import piga
 from piga.cli.common import (
-    ForceOption,
-    JsonOption,
     RunFileArgument,
     argument,
     counted,
     deliver,
     deliver_file,
-    files_named_in,
     flag,
     option,
     progress,
@@ -31,10 +31,8 @@ from piga.data import example_files
 from piga.errors import ArgumentError, PigaError
 
 if TYPE_CHECKING:
-    from piga.calibration import TermProspect
     from piga.describe import LogDescription, RunFileDraft
     from piga.keys import KeyPlace
-
 
 _SET = "A value of the run file, e.g. data.time.unit=ms."
 _COLUMN = "What a column holds: time, counts, 'angle [deg]', 'force x [g]', ..."
@@ -46,8 +44,6 @@ def init(
     out: Annotated[Path | None, option("RUN.toml", "The run file [default: LOG.toml].")] = None,
     settings: Annotated[list[str] | None, option("KEY=VALUE", f"{_SET} {_AGAIN}", "--set")] = None,
     columns: Annotated[list[str] | None, option("NAME=KIND", f"{_COLUMN} {_AGAIN}", "--column")] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Draft a run file for a log.
 
@@ -60,10 +56,16 @@ def init(
     chosen = out or log.parent / f"{log.name.split('.')[0] or 'run'}.toml"
     if chosen.suffix != ".toml":
         raise ArgumentError(f"--out {chosen}: the name must end in .toml", remedy="e.g. run.toml")
-    with deliver_file(chosen, "init", [log], force=force, as_json=as_json) as to:
+    with deliver_file(chosen, "init", [log]) as to:
         target = (to.folder or chosen.parent) / chosen.name
         given = dict(setting(text) for text in settings or [])
-        kinds = dict(map(_told, columns or []))
+        kinds = {}
+        for text in columns or []:
+            name, _, kind = text.rpartition("=")
+            if not name:
+                remedy = "e.g. --column 'CH3=angle [deg]'"
+                raise ArgumentError(f"--column {text}: is not name=kind", remedy=remedy)
+            kinds[name] = kind
         with progress(f"reading {log.name}"):
             described = describe_log(log, kinds)
         draft = draft_run_file(described, given, folder=target.parent)
@@ -78,13 +80,6 @@ def init(
         lines += [line for notes in draft.comments.values() for line in notes if line.startswith("CHECK")]
         write_text(to / target.name, draft.text())
         to.tell(lambda: _document(described, draft, target), lambda: "\n".join([*lines, *end]))
-
-
-def _told(text: str) -> tuple[str, str]:
-    name, _, kind = text.rpartition("=")
-    if not name:
-        raise ArgumentError(f"--column {text}: is not name=kind", remedy="e.g. --column 'CH3=angle [deg]'")
-    return name, kind
 
 
 def _column_lines(described: LogDescription) -> Iterator[str]:
@@ -135,9 +130,9 @@ def _outcome_lines(target: Path, draft: RunFileDraft) -> Iterator[str]:
         yield f"  remedy: {error.remedy}"
         yield from suggested_lines(target, draft.text().encode())
         return
-    counts: dict[str, int] = {}
+    counts = Counter[str]()
     for event in tried.quality.events:
-        counts[event.kind] = counts.get(event.kind, 0) + event.count
+        counts[event.kind] += event.count
     events = "".join(f"; {count} x {kind}" for kind, count in counts.items())
     yield (
         f"It reads {tried.size} of {tried.quality.rows} rows in {counted(len(tried.labels), 'segment')}{events}"
@@ -172,58 +167,49 @@ def check(
     fix_suggestions: Annotated[bool, flag("--fix-suggestions", "Print lines that settle a refusal.")] = False,
     terms: Annotated[bool, flag("--terms", "Also say which terms the record determines (slow).")] = False,
     explain: Annotated[str | None, option("KEY", "Say what a key of any TOML file means.")] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Show the content of a recorded test. Nothing is calibrated."""
     if explain is not None:
-        explain_key(explain, as_json)
+        explain_key(explain)
         return
     if run is None:
         raise ArgumentError("no run file is named", remedy="piga check RUN.toml, or piga check --explain KEY")
-    from piga.stand import read_run, stand_changes
-
     try:
         with progress("reading"):
-            record = read_run(run)
-            for _ in stand_changes(record):  # refuses what calibrate would refuse in [uncertainty]
+            record = piga.read_run(run)
+            for _ in piga.stand.stand_changes(record):  # refuses what calibrate would refuse in [uncertainty]
                 pass
     except PigaError:
         if fix_suggestions:
             say("\n".join(suggested_lines(run)))
         raise
     from piga.reports.check import brief, check_document, page
-    from piga.reports.render.page import page_text, write_page
 
-    prospects: tuple[TermProspect, ...] = ()
-    if terms:
-        from piga.calibration import term_prospects
-
-        with progress("asking for each term"):
-            prospects = term_prospects(record)
-    with deliver(out, "check", ("check.html",), files_named_in(run), force=force, as_json=as_json) as to:
+    with progress("asking for each term") if terms else nullcontext():
+        prospects = piga.calibration.term_prospects(record) if terms else ()
+    with deliver(out, "check", ("check.html",), [run]) as to:
         if out is not None:
-            write_page(page(record, prospects), to / "check.html")
-        to.tell(lambda: check_document(record, prospects), lambda: page_text(brief(record, prospects)))
+            piga.reports.write_page(page(record, prospects), to / "check.html")
+        to.tell(
+            lambda: check_document(record, prospects), lambda: piga.reports.page_text(brief(record, prospects))
+        )
 
 
 def convert(
     run: RunFileArgument,
     out: Annotated[Path, option("FILE.parquet", "File for the clean record.")],
-    force: ForceOption = False,
 ) -> None:
     """Write a recorded test as clean Parquet in SI.
 
     The file holds the units and all findings.
     """
     from piga.formats.columns import data_table, write_run_parquet
-    from piga.stand import read_run
 
     if out.suffix != ".parquet":
         raise PigaError(f"--out {out}: the name must end in .parquet", remedy="e.g. clean.parquet")
-    with deliver_file(out, "convert", files_named_in(run), force=force) as to:
+    with deliver_file(out, "convert", [run]) as to:
         with progress("reading"):
-            record = read_run(run)
+            record = piga.read_run(run)
         with progress("writing"):
             write_run_parquet(record, to / out.name)
         to.tell(dict, lambda: f"{record.size} of {record.quality.rows} rows")
@@ -252,8 +238,6 @@ def noise(
     unit: Annotated[str | None, option("UNIT", "Unit of the column [default: as in the log].")] = None,
     sample_rate: Annotated[str | None, option("RATE", "If no column holds the time, e.g. '20 Hz'.")] = None,
     out: Annotated[Path | None, option("DIR", "Write noise.json and noise.html.")] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Show the noise of a static log.
 
@@ -266,8 +250,7 @@ def noise(
     with progress("reading"):
         result = read_static_log(log, column=column, kind=kind, unit=unit, sample_rate=sample_rate)
     names = ("noise.json", "noise.html")
-    inputs = files_named_in(log) if log.suffix == ".toml" else [log]
-    with deliver(out, "noise", names, inputs, force=force, as_json=as_json) as to:
+    with deliver(out, "noise", names, [log]) as to:
         to.show(noise_document(result), page(result), brief(result), *names)
 
 
@@ -280,13 +263,11 @@ def explain(key: str) -> list[KeyPlace]:
 
     wanted = ".".join(re.sub(r"[\[\]]", " ", key.replace(".", " ")).split())
     every = [place for file in FILES for place in places_of(file)]
-    exact = [place for place in every if place.path == wanted]
-    ends = [place for place in every if place.path.endswith(f".{wanted}")]
-    hits = exact or ends
+    hits = [place for place in every if place.path == wanted]
+    hits = hits or [place for place in every if place.path.endswith(f".{wanted}")]
     if not hits:
-        near = difflib.get_close_matches(
-            wanted, sorted({p.path for p in every} | {p.path.rpartition(".")[2] for p in every}), n=4
-        )
+        known = {place.path for place in every} | {place.path.rpartition(".")[2] for place in every}
+        near = difflib.get_close_matches(wanted, sorted(known), n=4)
         raise ArgumentError(
             f"no file has the key '{key[:60]}'",
             remedy=f"did you mean {', '.join(near)}?" if near else "write e.g. data.time.stamp, or terms",
@@ -294,43 +275,37 @@ def explain(key: str) -> list[KeyPlace]:
     return hits
 
 
-def explain_key(key: str, as_json: bool) -> None:
+def explain_key(key: str) -> None:
     """Say what a key means; places with the same meaning are named together."""
     from piga.keys import FILES
 
-    rows = [
-        {
-            "file": FILES[place.file][0],
+    rows: list[dict[str, str]] = []
+    meanings: dict[str, list[str]] = {}
+    for place in explain(key):
+        words, file = place.words, FILES[place.file][0]
+        row = {
+            "file": file,
             "key": place.path,
-            "meaning": place.words.sentence,
-            "unit": place.words.unit,
+            "meaning": words.sentence,
+            "unit": words.unit,
             "value": place.kind,
-            "default": place.default,
-            "example": place.words.example,
         }
-        for place in explain(key)
-    ]
-    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[name] for name in ("meaning", "example", "value", "default")), []).append(
-            row
+        rows.append(row | {"default": place.default, "example": words.example})
+        plain = words.unit in ("", "1", "own", "as the value", "row", "rows")
+        meaning = (
+            f"  {words.sentence}\n  value    {place.kind}{'' if plain else f', e.g. in {words.unit}'}\n"
+            f"  default  {place.default}\n  example  {place.path.rpartition('.')[2]} = {words.example}"
         )
-    tell(as_json, rows, (line for group in groups.values() for line in _key_lines(group)))
-
-
-def _key_lines(group: list[dict[str, str]]) -> Iterator[str]:
-    names, first = dict.fromkeys("{key} ({file})".format(**row) for row in group), group[0]
-    yield "; ".join(list(names)[:4]) + (f"; and {len(names) - 4} more" if len(names) > 4 else "")
-    yield f"  {first['meaning']}"
-    plain = first["unit"] in ("", "1", "own", "as the value", "row", "rows")
-    yield f"  value    {first['value']}" + ("" if plain else f", e.g. in {first['unit']}")
-    yield f"  default  {first['default']}"
-    yield f"  example  {first['key'].rpartition('.')[2]} = {first['example']}"
+        meanings.setdefault(meaning, []).append(f"{place.path} ({file})")
+    named = {meaning: list(dict.fromkeys(places)) for meaning, places in meanings.items()}
+    more = {
+        meaning: f"; and {len(places) - 4} more" if len(places) > 4 else "" for meaning, places in named.items()
+    }
+    tell(rows, (f"{'; '.join(places[:4])}{more[meaning]}\n{meaning}" for meaning, places in named.items()))
 
 
 def terms(
     name: Annotated[str | None, argument("TERM", "One term; all if left out.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """List the terms of the error model.
 
@@ -348,34 +323,25 @@ def terms(
     rows = [
         {"name": one, "unit": units[one]} | {key: getattr(w, key) for key in keys} for one, w in chosen.items()
     ]
-    tell(as_json, rows, (line for row in rows for line in _term_lines(**row)))
+    shown = "{name}  [{unit}]  {meaning}\n  adds     {formula}\n  shown by {shown_by}"
+    tell(rows, ((shown + ("\n  e.g.     {known}" if row["known"] else "")).format(**row) for row in rows))
 
 
-def _term_lines(name: str, unit: str, formula: str, meaning: str, shown_by: str, known: str) -> Iterator[str]:
-    yield f"{name}  [{unit}]  {meaning}"
-    yield f"  adds     {formula}"
-    yield f"  shown by {shown_by}"
-    if known:
-        yield f"  e.g.     {known}"
-
-
-def methods(as_json: JsonOption = False) -> None:
+def methods() -> None:
     """List the methods of a calibration, and when to take which."""
     from piga.terms import METHOD_WORDS
 
     rows = [{"name": name, "meaning": what, "use": use} for name, (what, use) in METHOD_WORDS.items()]
-    tell(as_json, rows, ("{name}: {meaning}\n  use it   {use}".format(**row) for row in rows))
+    tell(rows, ("{name}: {meaning}\n  use it   {use}".format(**row) for row in rows))
 
 
-def examples(
-    out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("examples"), force: ForceOption = False
-) -> None:
+def examples(out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("examples")) -> None:
     """Write all example files, as the how-tos use them.
 
     Run the commands of the how-tos in the folder that holds DIR.
     """
     texts = example_files()
-    with deliver(out, "examples", tuple(texts), (), force=force, as_json=False) as to:
+    with deliver(out, "examples", tuple(texts), ()) as to:
         for name, content in texts.items():
             path = to / name
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 import glob
+import inspect
 import io
+import itertools
 import json
 import os
 import re
@@ -12,37 +14,27 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar
+from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+import piga
 from piga.errors import PigaError
 from piga.output import results
 from piga.progress import FIRST_USE, WHEN_COMPILED
 
-if TYPE_CHECKING:
-    from piga.reports.render.page import Page
-
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-
-
-def clean(text: str) -> str:
-    """Text without terminal control sequences (file names and headers may contain them)."""
-    return _CONTROL.sub("?", text)
+"""What may steer a terminal; file names and headers may hold it."""
 
 
 def _discarded() -> TextIO:
     """A stream in place of a standard output that cannot be written."""
     return Path(os.devnull).open("w", encoding="utf-8")
-
-
-_LOST = 1
-"""Exit code if a JSON document could not be written on stdout."""
 
 
 def prepare_output() -> None:
@@ -55,32 +47,22 @@ def prepare_output() -> None:
             stream.reconfigure(errors="replace")
 
 
-def _write_out(text: str, *, needed: bool) -> None:
-    """Write on stdout. If stdout is full or closed, the command has still done its work, and no error is reported.
-
-    ``needed``: the text is the result itself (JSON), so a full disk behind stdout gives exit code 1.
-    A closed pipe is not an error.
-    """
+def _write_out(text: str) -> None:
+    """Write on stdout. That nobody reads it any more is no error; that its disk is full is one."""
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
-        sys.stdout = _discarded()  # no error at the end of the process either
-        if isinstance(error, BrokenPipeError):
-            return
-        note(f"piga: standard output cannot be written ({error.strerror}); what the command did is done")
-        if needed:
-            raise SystemExit(_LOST) from None
+        sys.stdout = _discarded()  # no second error at the end of the process
+        if not isinstance(error, BrokenPipeError):
+            raise
 
 
 def print_json(document: Any) -> None:
     """Write one JSON document on stdout and nothing else. If stdout is not UTF-8, other characters are escaped."""
     encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
-    _write_out(_json_text(document, ascii_only=encoding not in ("utf8", "utf8sig")), needed=True)
-
-
-def _json_text(document: Any, *, ascii_only: bool) -> str:
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
+    plain = encoding not in ("utf8", "utf8sig")
+    _write_out(json.dumps(document, indent=1, allow_nan=False, ensure_ascii=plain) + "\n")
 
 
 def counted(count: int, noun: str) -> str:
@@ -90,7 +72,7 @@ def counted(count: int, noun: str) -> str:
 
 def say(text: str) -> None:
     """Print a line for people on stdout."""
-    _write_out(_fitted(text, sys.stdout) + "\n", needed=False)
+    _write_out(_fitted(text, sys.stdout) + "\n")
 
 
 _LONGEST = 2000
@@ -99,17 +81,14 @@ _LONGEST = 2000
 
 def _fitted(text: str, stream: Any) -> str:
     """Clean text, on a terminal in lines as wide as it; a name or a number is never broken."""
-    lines = clean(text).split("\n")
-    if getattr(stream, "isatty", bool)():
-        from piga.units import wrapped
+    text = _CONTROL.sub("?", text)
+    if not getattr(stream, "isatty", bool)():
+        return text
+    from piga.units import wrapped
 
-        width = shutil.get_terminal_size().columns
-        lines = [
-            part
-            for line in lines
-            for part in (wrapped(line, width, later="    ") if len(line) > width else [line])
-        ]
-    return "\n".join(lines)
+    width = shutil.get_terminal_size().columns
+    parts = (wrapped(line, width, later="    ") if len(line) > width else [line] for line in text.split("\n"))
+    return "\n".join(itertools.chain(*parts))
 
 
 def note(text: str) -> None:
@@ -123,26 +102,24 @@ def note(text: str) -> None:
         sys.stderr.flush()
 
 
-def tell(as_json: bool, document: Any, lines: Iterable[str]) -> None:
+class Ending:
+    """How the command that runs ends: its options ``--force`` and ``--json``."""
+
+    force = as_json = False
+
+
+def tell(document: Any, lines: Iterable[str]) -> None:
     """The ending of a command without files: one JSON document, or lines for people."""
-    if as_json:
+    if Ending.as_json:
         print_json(document)
         return
     for line in lines:
         say(line)
 
 
-def files_named_in(path: Path) -> list[Path]:
-    """A TOML file and all files that it names, directly or indirectly. A command may read them and must not overwrite them."""
-    from piga.text_files import files_named_in
-
-    return files_named_in(path)
-
-
-def write_text(path: Path, text: str) -> Path:
+def write_text(path: Path, text: str) -> None:
     """Write a text as UTF-8 with the same line ends everywhere."""
     path.write_text(text, encoding="utf-8", newline="\n")
-    return path
 
 
 class Delivery:
@@ -163,73 +140,58 @@ class Delivery:
         """The result as a JSON document and as text; only what is asked for is made."""
         self._document, self._text = document, text
 
-    def show(self, document: Any, page: Page, brief: Page, *names: str) -> None:
+    def show(self, document: Any, page: piga.reports.Page, brief: piga.reports.Page, *names: str) -> None:
         """Tell a result by its document and a brief page. In a folder: the document too, and a page, the last of ``names``."""
-        from piga.reports.render.page import page_text, write_page
-
         if self.folder is not None:
             for name in names[:-1]:
-                write_text(self / name, _json_text(document, ascii_only=False))
+                text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+                write_text(self / name, f"{text}\n")
             with progress("writing the report"):
-                write_page(page, self / names[-1])
-        self.tell(lambda: document, lambda: page_text(brief))
+                piga.reports.write_page(page, self / names[-1])
+        self.tell(lambda: document, lambda: piga.reports.page_text(brief))
 
 
 @contextmanager
 def deliver(
-    folder: Path | None,
-    command: str,
-    names: Sequence[str],
-    inputs: Sequence[Path],
-    *,
-    force: bool,
-    as_json: bool,
+    folder: Path | None, command: str, names: Sequence[str], inputs: Iterable[Path], *, force: bool = False
 ) -> Iterator[Delivery]:
     """The one ending of a command: its files appear together, then JSON alone, or the text and the files that were written.
 
-    Results of other inputs are never replaced without ``force``: the new ones go beside them (``folder/2``).
+    ``inputs`` and all files that they name are never overwritten. Results of other inputs are not replaced without ``--force``:
+    the new ones go beside them (``folder/2``).
     """
+    written: list[str] = []
     if folder is None:
-        delivery, written = Delivery(None, Path()), []
+        delivery = Delivery(None, Path())
         yield delivery
     else:
-        with results(folder, command, names, inputs, force=force) as (stage, place):
+        from piga.text_files import files_named_in
+
+        read = [file for path in inputs for file in files_named_in(path)]
+        with results(folder, command, names, read, force=force or Ending.force) as (stage, place):
             delivery = Delivery(place, stage)
             yield delivery
-            written = _listed(stage, place, names)
-    if as_json:
+            paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
+            written = [f"wrote {place / path.relative_to(stage)}" for path in paths]
+    if Ending.as_json:
         if delivery._document is not None:
             print_json(delivery._document())
         return
     text = delivery._text()
-    say("\n".join([*([text] if text else []), *(f"wrote {line}" for line in written)]))
+    say("\n".join([text, *written] if text else written))
 
 
-def deliver_file(
-    target: Path, command: str, inputs: Sequence[Path], *, force: bool, as_json: bool = False
-) -> AbstractContextManager[Delivery]:
+def deliver_file(target: Path, command: str, inputs: Iterable[Path]) -> AbstractContextManager[Delivery]:
     """The same for one file that the user names: it is written at ``delivery / target.name``."""
-    names, mark = [glob.escape(target.name)], f"{command}-{target.stem[:40]}"
-    return deliver(target.parent, mark, names, inputs, force=force, as_json=as_json)
+    return deliver(target.parent, f"{command}-{target.stem[:40]}", [glob.escape(target.name)], inputs)
 
 
-def _listed(stage: Path, place: Path, names: Sequence[str]) -> list[str]:
-    """The files of a hidden folder by their final names, in the order of the patterns; those of a folder together."""
-    paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
-    lines: dict[str, int] = {}
-    for path in paths:
-        inside = path.relative_to(stage)
-        line = str(place / (inside if len(inside.parts) == 1 else inside.parts[0]))
-        lines[line] = lines.get(line, 0) + 1
-    return [line if count == 1 else f"{line} ({count} files)" for line, count in lines.items()]
-
-
-def day_in(text: str, option: str, also: str = "") -> dt.datetime:
-    """The time of an option, UTC where it names no zone; of a date its begin. ``also``: another word that the option takes."""
+def day_in(text: str, option: str) -> dt.datetime:
+    """The time of an option, UTC where it names no zone; of a date its begin."""
     try:
         time = dt.datetime.fromisoformat(text)
     except ValueError:
-        raise PigaError(f"{option} {text}: is not a date", remedy=f"write e.g. 2027-06-01{also}") from None
+        raise PigaError(f"{option} {text}: is not a date", remedy="write e.g. 2027-06-01") from None
     return time if time.tzinfo else time.replace(tzinfo=dt.UTC)
 
 
@@ -254,35 +216,20 @@ def progress(title: str, total: int | None = None) -> Iterator[Show]:
                 yield show
         else:
             WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
-            yield _silent
+            yield lambda *_: None
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
-
-
-_WIDE = 90
-"""Columns of a terminal from which on the bar is long."""
 
 
 @contextmanager
 def _bar(title: str, total: int | None) -> Iterator[Show]:
     """A line on stderr, drawn with rich, that shows what is done and how far it is. It disappears at the end."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        SpinnerColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.table import Column
+    from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    words = TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1))
-    share = BarColumn(24 if console.width >= _WIDE else 8)
-    columns = (SpinnerColumn("line"), words, share, TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as drawn:
+    columns = ("{task.description}", BarColumn(None), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, expand=True) as drawn:
         task = drawn.add_task(title, total=total)
 
         def show(done: float, total: float | None, what: str) -> None:
@@ -291,10 +238,6 @@ def _bar(title: str, total: int | None) -> Iterator[Show]:
 
         WHEN_COMPILED[:] = [lambda: drawn.update(task, description=f"{title}; {FIRST_USE}")]
         yield show
-
-
-def _silent(done: float, total: float | None, what: str) -> None:
-    """Progress that nobody sees."""
 
 
 DOING = "while "
@@ -317,14 +260,13 @@ def argument(value: str, words: str, **more: Any) -> Any:
 
 
 RunFileArgument = Annotated[Path, argument("RUN.toml", "Run file of the recorded test.")]
-JsonOption = Annotated[bool, flag("--json", "Print one JSON document and nothing else.")]
-TermsOption = Annotated[str | None, option("A,B,...", "Terms to estimate, instead of the run file's.")]
-MethodOption = Annotated[str | None, option("NAME", "Estimator: information | rate | revolutions.")]
-PhasesOption = Annotated[
-    str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
-]
-ForceOption = Annotated[bool, flag("--force", "Replace existing results.")]
 
+BOTH, JSON, FORCE = ("force", "as_json"), ("as_json",), ("force",)
+"""Options of the ending of a command."""
+_ENDINGS = {
+    "force": Annotated[bool, flag("--force", "Replace existing results.")],
+    "as_json": Annotated[bool, flag("--json", "Print one JSON document and nothing else.")],
+}
 
 _TYPE = re.compile(r" <(?:list\[)?(?:path|str|int|float)\]?>", re.IGNORECASE)
 """The Python type of an argument, in help."""
@@ -357,6 +299,24 @@ class App(typer.Typer):
         settings: dict[str, Any] = {"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False}
         super().__init__(name=name, help=words, cls=CommandGroup, **(settings | more))
 
-    def command(self, name: str | None = None, **options: Any) -> Callable[[Command], Command]:
-        """Decorator that adds a command."""
-        return super().command(name, cls=PlainCommand, **options)
+    def command(
+        self, name: str | None = None, ends: Sequence[str] = BOTH, **more: Any
+    ) -> Callable[[Command], Command]:
+        """Decorator that adds a command. ``ends`` are the options of its ending, which come last."""
+
+        def added(function: Command) -> Command:
+            @wraps(function)
+            def run(**values: Any) -> None:
+                Ending.force, Ending.as_json = (values.pop(one, False) for one in BOTH)
+                function(**values)
+
+            own = inspect.signature(function, eval_str=True)
+            options = [
+                inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_ENDINGS[one])
+                for one in ends
+            ]
+            run.__signature__ = own.replace(parameters=[*own.parameters.values(), *options])  # type: ignore[attr-defined]
+            super(App, self).command(name, cls=PlainCommand, **more)(run)
+            return function
+
+        return added

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -22,25 +23,26 @@ PATIENCE = 10.0
 """Time [s] that a command has to end by itself when its server is gone."""
 
 
-class Note:
-    """Progress as a small file: what is done now, and which share of it is done, if known."""
+def progress_file(path: Path, title: str, total: float | None) -> Callable[[float, float | None, str], None]:
+    """Function that writes progress into a small file: what is done now, and which share of it is done, if known."""
+    last = 0.0
 
-    def __init__(self, path: Path, title: str, total: float | None) -> None:
-        self._path, self._title, self._last = path, title, 0.0
-        self.show(0.0, total, "")
-
-    def show(self, done: float, total: float | None, what: str) -> None:
-        """``done`` of ``total`` are done, and ``what`` comes now."""
+    def show(done: float, total: float | None, what: str) -> None:
+        nonlocal last
         now = time.monotonic()
-        if self._last and now - self._last < BETWEEN:
+        if last and now - last < BETWEEN:
             return
-        self._last = now
+        last = now
         share = min(done / total, 1.0) if total else None
-        words = f"{self._title}: {what}" if what else self._title
-        part = self._path.with_suffix(".part")
+        part = path.with_suffix(".part")
         with suppress(OSError):
-            part.write_text(json.dumps({"what": words, "share": share}), encoding="utf-8")
-            part.replace(self._path)
+            part.write_text(
+                json.dumps({"what": f"{title}: {what}" if what else title, "share": share}), "utf-8"
+            )
+            part.replace(path)
+
+    show(0.0, total, "")
+    return show
 
 
 def run(folder: Path, arguments: list[str]) -> None:
@@ -51,9 +53,9 @@ def run(folder: Path, arguments: list[str]) -> None:
     from piga.cli import common
     from piga.cli.main import guarded, main
 
-    common.outlet = lambda title, total: Note(folder / "progress", title, total).show
+    common.outlet = lambda title, total: progress_file(folder / "progress", title, total)
     if arguments[:1] == ["envelopes"]:
-        guarded(lambda: _envelopes(Path(arguments[1]), Path(arguments[2])))
+        guarded(lambda: _write_envelopes(*map(Path, arguments[1:])))
         return
     sys.argv = ["piga", *arguments]
     main()
@@ -80,13 +82,8 @@ def _asked() -> list[str]:
         warnings.catch_warnings(action="ignore"),
     ):
         calibrate([read_run(copy_example(Path(place)))])
-    line = bytearray()
-    while not line.endswith(b"\n"):
-        piece = os.read(0, 1)
-        if not piece:
-            sys.exit(0)
-        line += piece
-    return [str(word) for word in json.loads(line)]
+    line = sys.stdin.readline()  # one line; then the server is silent
+    return [str(word) for word in json.loads(line)] if line else sys.exit(0)
 
 
 def _end_with_server() -> None:
@@ -98,7 +95,7 @@ def _end_with_server() -> None:
     os._exit(130)
 
 
-def _envelopes(run: Path, folder: Path) -> None:
+def _write_envelopes(run: Path, folder: Path) -> None:
     from piga.records.run_file import read_run_file
     from piga.stand import read_run
     from piga.workbench.signals import write_envelopes

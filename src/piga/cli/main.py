@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import gc
 import os
 import sys
@@ -10,20 +9,17 @@ import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from piga._version import __version__
-from piga.cli import campaign, certificate, records
+from piga.cli import records
 from piga.cli.calibrate import calibrate, compensate, demo
 from piga.cli.check import check, convert, examples, init, methods, noise, terms
-from piga.cli.common import DOING, App, argument, note, option, prepare_output, say
-from piga.cli.simulate import plan, platform, reproduce, simulate
+from piga.cli.common import BOTH, DOING, FORCE, JSON, App, argument, note, option, prepare_output, say
+from piga.cli.simulate import campaign, plan, platform, reproduce, simulate
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
-
-if TYPE_CHECKING:
-    from piga.workbench.app import Door
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """One BLAS thread, because the matrices are small. More threads would wait for each other, for seconds on a busy machine."""
@@ -32,15 +28,6 @@ RARELY = 100_000
 """New objects between two searches for garbage: most objects of a command are made at its start and stay."""
 STOPPED = 130
 """Exit code of a command that was stopped with Ctrl-C, as shells have it."""
-_ROOM = "make room on the disk (TMPDIR names the folder for temporary files), then run the command again"
-_RIGHTS = "name a file or folder that you may use"
-_DISK = {
-    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _ROOM),
-    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), _RIGHTS),
-    errno.ENAMETOOLONG: "use a shorter name",
-}
-"""Remedies of disk errors, which can occur wherever a command reads or writes."""
-
 app = App(
     "piga",
     "Calibrate and compensate precession-type accelerometers, and analyse the platform that carries them.",
@@ -76,7 +63,7 @@ def ui(
 
     It answers on this machine only, to the browser that opens the printed address. Ctrl-C ends it.
     """
-    from piga.workbench.app import open_browser, serve
+    from piga.workbench.app import Door, open_browser, serve
 
     def ready(door: Door, place: Path) -> None:
         say(f"piga ui: {door.address}")
@@ -86,27 +73,27 @@ def ui(
     serve(folder, port, ready=ready)
 
 
-for command in (
-    demo,
-    examples,
-    init,
-    check,
-    convert,
-    calibrate,
-    compensate,
-    noise,
-    simulate,
-    plan,
-    reproduce,
-    ui,
-    terms,
-    methods,
-):
-    app.command()(command)
-app.add_typer(platform)
-app.add_typer(campaign.app)
-app.add_typer(records.app)
-app.add_typer(certificate.app)
+COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
+    demo: FORCE,
+    examples: FORCE,
+    init: BOTH,
+    check: BOTH,
+    convert: FORCE,
+    calibrate: BOTH,
+    compensate: BOTH,
+    noise: BOTH,
+    simulate: BOTH,
+    plan: BOTH,
+    reproduce: BOTH,
+    ui: (),
+    terms: JSON,
+    methods: JSON,
+}
+"""Commands in the order of the help, with the options of their endings."""
+for command, ends in COMMANDS.items():
+    app.command(ends=ends)(command)
+for group in (platform, campaign, records.app, records.certificates):
+    app.add_typer(group)
 
 
 def main() -> None:
@@ -137,6 +124,8 @@ _GONE = {
     "calibrate --compare": "write the sets into the run file: [model] compare",
     "calibrate --phase-source": "write it into the run file: [model] phase_source",
     **{f"records {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
+    "records backup": "an export of all records is one: piga records export FILE --store STORE",
+    "certificate --issued": "write the date into the file of --data: [certificate] issued; without it: today",
     "compensate --resume": "run the same command again without it",
     "platform --every": "take every N-th row of the Parquet file",
     **dict.fromkeys(("init --yes", "init -y"), "leave it out: init does not ask"),
@@ -181,10 +170,8 @@ def guarded(action: Callable[[], object]) -> None:
         note(f"piga: {missing_package(package)}")
         sys.exit(2)
     except OSError as error:
-        if error.errno not in _DISK and not error.filename:
-            raise
         name = f"{error.filename}: " if error.filename else ""
-        remedy = _DISK.get(error.errno or 0, "name another file or folder, and check its disk or network")
+        remedy = "check name, rights and room on the disk (TMPDIR: that of temporary files), then run again"
         note(f"piga: {name}{error.strerror or error}\n  remedy: {remedy}")
         sys.exit(2)
     except KeyboardInterrupt as stop:

@@ -1,4 +1,4 @@
-"""``piga records``: calibrations kept as evidence in an append-only, chained store; their trend over the years."""
+"""``piga records`` and ``certificate``: calibrations kept as evidence, their trend over the years, and certified."""
 
 from __future__ import annotations
 
@@ -9,45 +9,44 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import piga
 from piga.cli.common import (
+    FORCE,
+    JSON,
     App,
-    ForceOption,
-    JsonOption,
+    Ending,
     RunFileArgument,
     argument,
     counted,
     day_in,
     deliver,
+    deliver_file,
+    flag,
     note,
     option,
     progress,
     tell,
 )
 from piga.errors import PigaError
-from piga.output import is_hidden
 
 if TYPE_CHECKING:
-    from piga.ledger import Reproduced
     from piga.ledger.store import Record
     from piga.ledger.store.store import Store
     from piga.ledger.store.transfer import Verification
     from piga.trend.history import HistoryEntry
 
 
-def _tell(kept: Store, as_json: bool, document: dict[str, Any], lines: Iterable[str]) -> None:
+def _tell(kept: Store, document: dict[str, Any], lines: Iterable[str]) -> None:
     """What a command found in a store, with the head that proves it."""
     head = kept.head()
     place = {"store": kept.name, "head": head.sha256}
-    tell(as_json, place | document, [*lines, f"{counted(head.number, 'record')}, head {head.sha256}"])
+    tell(place | document, [*lines, f"{counted(head.number, 'record')}, head {head.sha256}"])
 
 
-def _tell_written(written: Verification, as_json: bool) -> None:
+def _tell_written(written: Verification) -> None:
     document = {"file": written.name, "records": written.records, "head": written.head}
-    lines = (
-        f"wrote {written.name}, read back and found sound",
-        f"{counted(written.records, 'record')}, head {written.head}",
-    )
-    tell(as_json, document, lines)
+    held = f"{counted(written.records, 'record')}, head {written.head}"
+    tell(document, (f"wrote {written.name}, read back and found sound", held))
 
 
 def _record_document(record: Record) -> dict[str, Any]:
@@ -94,19 +93,6 @@ def _difference_lines(document: dict[str, Any]) -> Iterator[str]:
     yield from (f"  {name}: {old} -> {new}" for name, (old, new) in document["facts"].items())
 
 
-def _reproduced_document(reproduced: Reproduced) -> dict[str, Any]:
-    from piga.results import plain
-
-    return {
-        "id": reproduced.record.id,
-        "verdict": reproduced.verdict,
-        "same_platform": reproduced.same_platform,
-        "changed": plain(reproduced.changed),
-        "worst": reproduced.comparison.worst,
-        "differences": list(reproduced.comparison.differences),
-    }
-
-
 def _reproduced_line(document: dict[str, Any]) -> str:
     """Whether a recomputed record is the same, and the changes since; differences go to stderr."""
     words = {
@@ -136,14 +122,7 @@ OperatorOption = Annotated[str, option("NAME", "Who does this.")]
 ReasonOption = Annotated[str, option("WORDS", "Why.")]
 
 
-def opened(where: str, *, create: bool = False) -> Store:
-    """The store of a command."""
-    from piga.ledger.store import open_store
-
-    return open_store(where, create=create)
-
-
-@app.command()
+@app.command(ends=JSON)
 def add(
     run: RunFileArgument,
     store: StoreOption,
@@ -153,10 +132,8 @@ def add(
     measured: Annotated[str | None, option("DATE", "Date of the test; UTC if it has no zone.")] = None,
     supersedes: Annotated[str | None, option("RECORD", "Record that this one corrects.")] = None,
     report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
-    as_json: JsonOption = False,
 ) -> None:
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
-    from piga.ledger import prepare_run
     from piga.ledger.store.documents import checked_text
     from piga.ledger.store.store import is_url
     from piga.records.run_file import read_run_file
@@ -167,30 +144,26 @@ def add(
     if measured is not None:
         day_in(measured, "--measured")
     if supersedes is not None or is_url(store) or Path(store).exists():
-        with opened(store, create=supersedes is None) as kept:
+        with piga.open_store(store, create=supersedes is None) as kept:
             if supersedes is not None:
                 supersedes = kept.amendable(supersedes, read_run_file(run).instrument.serial)
     with progress("calibrating"):
-        draft = prepare_run(
+        draft = piga.ledger.prepare_run(
             run, operator, reason, measured=measured, supersedes=supersedes, report=report, results=results
         )
-    with opened(store, create=True) as kept:
+    with piga.open_store(store, create=True) as kept:
         record = kept.append(draft)
-        lines = (
-            f"kept record {record.id}, number {record.number}, instrument {record.document.serial}",
-            f"head {record.head}",
-        )
-        tell(as_json, {"store": kept.name, **_record_document(record)}, lines)
+        kept_as = f"kept record {record.id}, number {record.number}, instrument {record.document.serial}"
+        tell({"store": kept.name, **_record_document(record)}, (kept_as, f"head {record.head}"))
 
 
-@app.command("list")
+@app.command("list", JSON)
 def list_records(
     store: StoreOption,
     serial: Annotated[str | None, option("SERIAL", "One instrument only.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """List the records."""
-    with opened(store) as kept:
+    with piga.open_store(store) as kept:
         listed = kept.records(serial)
         old = {record.document.supersedes for record in listed}
         lines = (
@@ -198,15 +171,14 @@ def list_records(
             + ("  superseded" if r.id in old else "")
             for r in listed
         )
-        _tell(kept, as_json, {"records": list(map(_record_document, listed))}, lines)
+        _tell(kept, {"records": list(map(_record_document, listed))}, lines)
 
 
-@app.command()
+@app.command(ends=JSON)
 def show(
     record: RecordArgument,
     store: StoreOption,
     extract: Annotated[Path | None, option("DIR", "Folder for the files of the record.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Show a record.
 
@@ -214,7 +186,7 @@ def show(
     """
     from piga.records.calibration.document import to_document
 
-    with opened(store) as kept:
+    with piga.open_store(store) as kept:
         shown = kept.record(record)
         calibration = kept.calibration(shown.id) if shown.file("calibration") else None
         lines = [*_record_lines(shown), *(["", calibration.summary()] if calibration else [])]
@@ -223,30 +195,27 @@ def show(
             kept.extract(shown.id, extract)
             lines.append(f"wrote {len(shown.document.files)} files to {extract}")
         result = None if calibration is None else to_document(calibration)
-        _tell(kept, as_json, _record_document(shown) | {"calibration": result}, lines)
+        _tell(kept, _record_document(shown) | {"calibration": result}, lines)
 
 
-@app.command()
-def diff(
-    first: RecordArgument, second: RecordArgument, store: StoreOption, as_json: JsonOption = False
-) -> None:
+@app.command(ends=JSON)
+def diff(first: RecordArgument, second: RecordArgument, store: StoreOption) -> None:
     """Compare two records.
 
     Shows the differences of the coefficients with their uncertainties, of inputs and of software.
     """
     from piga.ledger.evidence import difference
 
-    with opened(store) as kept:
+    with piga.open_store(store) as kept:
         document = difference(kept, first, second)
-        _tell(kept, as_json, document, _difference_lines(document))
+        _tell(kept, document, _difference_lines(document))
 
 
-@app.command()
+@app.command(ends=JSON)
 def verify(
     store: Annotated[str | None, option("FILE|URL", "Store to check.", envvar="PIGA_STORE")] = None,
     archive: Annotated[Path | None, argument("EXPORT.zip", "Export or backup, instead of the store.")] = None,
     head: Annotated[list[str] | None, option("SHA256", "Head noted earlier. May be repeated.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Check every link, record and file.
 
@@ -271,23 +240,21 @@ def verify(
         held = f"{counted(v.records, 'record')} and {counted(v.files, 'file')}"
         lines.insert(0, f"{v.name}: sound: {held} are what they were")
     lines += [f"{counted(v.records, 'record')}, head {v.head}"] if v.head else []
-    tell(as_json, {"store": v.name} | {name: getattr(v, name) for name in names}, lines)
+    tell({"store": v.name} | {name: getattr(v, name) for name in names}, lines)
     if not v.sound:
-        for problem in [] if as_json else v.problems:
-            note(f"piga: {problem}")
-        if not as_json:
-            note(
-                "  remedy: keep it as it is; use another copy, or make a store of a backup: piga records restore"
-            )
+        if not Ending.as_json:
+            for problem in v.problems:
+                note(f"piga: {problem}")
+            words = "keep it as it is; use another copy, or make a store of a backup: piga records restore"
+            note(f"  remedy: {words}")
         raise typer.Exit(2)
 
 
-@app.command()
+@app.command(ends=JSON)
 def export(
     out: Annotated[Path, argument("EXPORT.zip", "File to write; it must not exist.")],
     store: StoreOption,
     record: Annotated[list[str] | None, option("RECORD", "Only this record. May be repeated.")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Write records into one file.
 
@@ -295,18 +262,17 @@ def export(
     """
     from piga.ledger.store.transfer import export_records
 
-    with opened(store) as kept, progress("exporting") as show:
+    with piga.open_store(store) as kept, progress("exporting") as show:
         exported = export_records(kept, out, record, progress=show)
-    _tell_written(exported, as_json)
+    _tell_written(exported)
 
 
-@app.command("import")
+@app.command("import", JSON)
 def import_export(
     archive: Annotated[Path, argument("EXPORT.zip", "Export to take records from.")],
     store: StoreOption,
     operator: OperatorOption,
     reason: ReasonOption,
-    as_json: JsonOption = False,
 ) -> None:
     """Append those records of an export that the store lacks.
 
@@ -314,55 +280,43 @@ def import_export(
     """
     from piga.ledger.store.transfer import Export, import_records
 
-    with Export(archive), opened(store, create=True) as kept:
+    with Export(archive), piga.open_store(store, create=True) as kept:
         with progress("importing"):
             added = import_records(kept, archive, operator, reason)
         document = {"added": added, "records": kept.head().number}
-        _tell(kept, as_json, document, [f"imported {counted(len(added), 'record')} from {archive}"])
+        _tell(kept, document, [f"imported {counted(len(added), 'record')} from {archive}"])
 
 
-@app.command()
+@app.command(ends=JSON)
 def reproduce(
     store: StoreOption,
     record: Annotated[list[str] | None, argument("RECORD", "Records to recompute [default: all].")] = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Recompute records from their stored inputs.
 
     Exits with 2 if the numbers differ.
     """
-    from piga.ledger import reproduce as recompute
+    from piga.results import plain
 
     documents = []
-    with opened(store) as kept:
+    with piga.open_store(store) as kept:
         names = record or [entry.id for entry in kept.records()]
         with progress("recomputing", len(names)) as show:
             for number, name in enumerate(names):
                 show(number, len(names), name)
-                documents.append(_reproduced_document(recompute(kept, name)))
-        _tell(kept, as_json, {"records": documents}, map(_reproduced_line, documents))
+                made = piga.ledger.reproduce(kept, name)
+                facts = {"id": made.record.id, "verdict": made.verdict, "same_platform": made.same_platform}
+                facts |= {"changed": plain(made.changed), "worst": made.comparison.worst}
+                documents.append(facts | {"differences": list(made.comparison.differences)})
+        _tell(kept, {"records": documents}, map(_reproduced_line, documents))
     if any(one["verdict"] == "different" for one in documents):
         raise typer.Exit(2)
 
 
-@app.command()
-def backup(
-    out: Annotated[Path, argument("BACKUP", "File to write; it must not exist.")],
-    store: StoreOption,
-    as_json: JsonOption = False,
-) -> None:
-    """Write a verified copy of the store while it is in use.
-
-    It is an export of all records.
-    """
-    export(out, store, as_json=as_json)
-
-
-@app.command()
+@app.command(ends=JSON)
 def restore(
     source: Annotated[Path, argument("BACKUP", "Backup, or complete export.")],
     store: StoreOption,
-    as_json: JsonOption = False,
 ) -> None:
     """Create a store from a backup, with the same links and head.
 
@@ -372,7 +326,7 @@ def restore(
 
     with progress("restoring"):
         restored = make(source, store)
-    _tell_written(restored, as_json)
+    _tell_written(restored)
 
 
 # -- trend ---------------------------------------------------------------------------------------------
@@ -388,60 +342,216 @@ def trend(
     at: Annotated[str | None, option("YYYY-MM-DD", "Date of the forecast [default: a year ahead].")] = None,
     common: Annotated[float, option("PART", "Share (0 to 1) of Type B that all records have in common.")] = 1.0,
     out: Annotated[Path | None, option("DIR", "Write trend.json and trend.html.")] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Show how coefficients drift over the years.
 
     For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
     from piga.reports.trend import brief, page, trend_document
-    from piga.trend.history import find_trend
+    from piga.trend.history import calibration_files
 
     with progress("reading"):
-        drifts = find_trend(history(sources or [], store, serial), common=common)
+        drifts = piga.find_trend(history(sources or [], store, serial), common=common)
     date = day_in(at, "--at") if at else drifts.times[-1] + dt.timedelta(days=365)
     names = ("trend.json", "trend.html")
-    with deliver(out, "trend", names, _files(sources or []), force=force, as_json=as_json) as to:
+    with deliver(out, "trend", names, calibration_files(sources or [])) as to:
         document = trend_document(drifts, at=date)
         to.show(document, page(drifts, date), brief(drifts, date), *names)
 
 
-def history(sources: list[Path], store: str | None, serial: str | None) -> Iterator[HistoryEntry]:
+def history(sources: list[Path], store: str | None, serial: str | None) -> Iterable[HistoryEntry]:
     """Records from files, or of an instrument in a store."""
+    from piga.trend.history import read_history
+
     if sources:
-        entries = (_entry(path) for path in _files(sources))
-        yield from (entry for entry in entries if serial is None or entry[2].serial == serial)
-        return
+        return read_history(sources, serial)
     if store is None:
         raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
     if serial is None:
         raise PigaError("--store needs the instrument", remedy="add --serial")
-    with opened(store) as kept:
+    with piga.open_store(store) as kept:
         calibrations = kept.history(serial)
         if not calibrations:
             serials = ", ".join(sorted({record.document.serial for record in kept.records()})[:9])
             remedy = f"--serial is one of: {serials}" if serials else "add records: piga records add"
             raise PigaError(f"{store}: holds no record of '{serial}'", remedy=remedy)
-        yield from calibrations
+        return calibrations
 
 
-def _files(sources: list[Path]) -> list[Path]:
-    """The files that are named, and those of folders; what a command is still writing is none of them."""
-    paths: list[Path] = []
-    for source in sources:
-        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
-        inside = [path for path in inside if not any(is_hidden(part) for part in path.parents)]
-        if not inside:
-            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
-        paths += inside
-    return list(dict.fromkeys(paths))
+# -- certificates --------------------------------------------------------------------------------------
+
+certificates = App(
+    "certificate", "Issue, verify and read back calibration certificates.\n\nBy ISO/IEC 17025, and as DCC."
+)
+
+PemOption = Annotated[Path | None, option("PEM", "X.509 certificate of the laboratory.")]
+AtOption = Annotated[
+    str | None, option("YYYY-MM-DD", "Day on which the X.509 certificate must be valid, instead of today.")
+]
 
 
-def _entry(path: Path) -> HistoryEntry:
-    """A file as a record. Its path is the id; the time is that of the evaluation."""
-    from piga.records.calibration.calibration import Calibration
+@certificates.command()
+def issue(
+    calibration: Annotated[Path, argument("CALIBRATION.json", "Calibration to certify.")],
+    data: Annotated[Path, option("CERTIFICATE.toml", "Laboratory, customer, item, method and so on.")],
+    out: Annotated[Path, option("DIR", "Folder for the certificate.")],
+    dcc: Annotated[bool, flag("--dcc", "Also write certificate.xml (DCC 3.3.0).")] = False,
+    key: Annotated[Path | None, option("PEM", "Private key that signs the XML.")] = None,
+    certificate: PemOption = None,
+) -> None:
+    """Write certificate.html (A4); with --dcc also certificate.xml.
 
-    calibration = Calibration.from_json(path)
-    time = day_in(calibration.provenance.created[:40], f"{path}: provenance.created")
-    return str(path), time, calibration
+    Refuses if anything is missing, and a number that another certificate in DIR has; keep a list of numbers for other folders.
+    Prints the cautions of the calibration, for the person who authorises the certificate.
+    """
+    from msgspec.structs import replace
+
+    from piga.certificate.certificate_file import read_certificate_file
+    from piga.certificate.dcc import dcc_document
+    from piga.certificate.page import certificate_html, is_draft
+    from piga.certificate.xml_signature import sign_xml, written
+    from piga.records.calibration.document import read_with_digest
+
+    if (key is None) != (certificate is None):
+        raise PigaError("--key and --certificate belong together", remedy="give both, or none")
+    if key is not None and not dcc:
+        raise PigaError("--key signs the XML, but no XML is written", remedy="add --dcc")
+    file = read_certificate_file(data)
+    if file.certificate.issued is None:
+        today = dt.datetime.now().astimezone().date()
+        file = replace(file, certificate=replace(file.certificate, issued=today))
+    certified, digest = read_with_digest(calibration)
+    former = file.adjustment.before
+    before = piga.Calibration.from_json(data.parent / former) if former else None
+    html = certificate_html(file, certified, before, record_sha256=digest)
+    xml = None
+    if dcc:
+        root = dcc_document(file, certified, before)
+        xml = written(root if key is None or certificate is None else sign_xml(root, key, certificate))
+    if not Ending.force:
+        _refuse_used_number(file.certificate.number, html, out)
+    inputs = [path for path in (calibration, data, key, certificate) if path is not None]
+    cautions = [doubt.words for doubt in certified.verdict.doubts]
+    made = {"certificate.html": html.encode()} | ({} if xml is None else {"certificate.xml": xml})
+    with deliver(out, "certificate", ("certificate.html", "certificate.xml"), inputs) as to:
+        for name, content in made.items():
+            (to / name).write_bytes(content)
+        files = [f"{to.folder}/{name}" for name in made]
+        document = {"number": file.certificate.number, "files": files, "cautions": cautions}
+        to.tell(lambda: document, str)
+    if is_draft(file):
+        note("piga: DRAFT: named so, or laboratory or customer are those of the example; change them in --data")
+    for words in [] if Ending.as_json else cautions:
+        note(f"piga: caution: {words}")
+
+
+def _refuse_used_number(number: str, html: str, out: Path) -> None:
+    """Refuse a number that a different certificate in the folder or in one of its numbered folders has."""
+    from markupsafe import escape
+
+    line = f'<p class="number">{escape(number)}</p>'
+    for path in [out / "certificate.html", *sorted(out.glob("[0-9]*/certificate.html"))]:
+        there = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else html
+        if line in there and there != html:
+            raise PigaError(
+                f"{path}: a different certificate has the number {number}",
+                remedy="give a new number, and name the old one in [certificate] replaces; "
+                "--force replaces a certificate that nobody has received",
+            )
+
+
+@certificates.command("verify", JSON)
+def verify_certificate(
+    file: Annotated[Path, argument("CERTIFICATE.xml", "Signed DCC.")],
+    certificate: Annotated[Path, option("PEM", "X.509 certificate that must have signed it.")],
+    at: AtOption = None,
+) -> None:
+    """Verify a signed DCC.
+
+    Checks the signature against the laboratory's certificate. For a DCC made by piga it also checks that all
+    statements agree. If the certificate is not in force, the exit code is 2.
+    """
+    from piga.certificate.dcc import calibration_of, date_of_issue, is_ours
+    from piga.certificate.xml_signature import verify_signature
+
+    day = _day(at)
+    signed = verify_signature(file, certificate)
+    ours = is_ours(signed.document)
+    serial = calibration_of(signed.document, file).serial if ours else None
+    who = f"instrument {serial}" if ours else "not made by piga, so its statements were not compared"
+    issued = date_of_issue(signed.document, file)
+    why = signed.out_of_force(day)
+    valid = f"{signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}"
+    was = "was" if signed.valid_from.date() <= issued <= signed.valid_until.date() else "was not"
+    stated = f"on the date of issue that the file states, {issued}, it {was} in force"
+    document = {
+        "signature": "holds",
+        "signer": signed.signer,
+        "signer_in_force": not why,
+        "judged_for": day.date().isoformat(),
+        "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
+        "issued": issued.isoformat(),
+        "made_by_piga": ours,
+        "serial": serial,
+        "remarks": list(signed.remarks),
+    }
+    when = "" if at is None else f" as of {day:%Y-%m-%d}"
+    lines = [
+        f"{file}: the signature holds{when}; {who}",
+        f"  signed by  {signed.signer}",
+        f"  whose certificate is valid {valid}",
+    ]
+    if why:
+        first = f"{file}: the signer's X.509 certificate {why}; {stated}"
+        lines = [first, f"  the signature itself holds; {who}", lines[1]]
+    tell(document, lines)
+    if was == "was not" and not why:
+        note(f"piga: the signer's X.509 certificate is valid {valid}; {stated}")
+    for remark in signed.remarks:
+        note(f"piga: {remark}")
+    if why:
+        raise typer.Exit(2)
+
+
+def _day(at: str | None) -> dt.datetime:
+    """Now, or noon UTC of the given day."""
+    if at is None:
+        return dt.datetime.now(dt.UTC)
+    return dt.datetime.combine(day_in(at, "--at").date(), dt.time(12), dt.UTC)
+
+
+@certificates.command(ends=FORCE)
+def read(
+    file: Annotated[Path, argument("CERTIFICATE.xml", "DCC made by piga.")],
+    out: Annotated[Path, option("CALIBRATION.json", "File for the calibration.")],
+    certificate: PemOption = None,
+    at: AtOption = None,
+) -> None:
+    """Read a DCC back into calibration.json.
+
+    'piga compensate' takes the result. With --certificate the signature is verified first.
+    """
+    from piga.certificate.dcc import calibration_of
+    from piga.certificate.xml_signature import SIGNATURE, read_xml, verify_signature
+
+    inputs = [file, *([] if certificate is None else [certificate])]
+    with deliver_file(out, "certificate-read", inputs) as to:
+        day = _day(at)
+        if certificate is None:
+            root = read_xml(file)
+            words = "not signed: anyone can have written it"
+            if root.find(SIGNATURE) is not None:
+                words = "its signature was not verified (--certificate does)"
+        else:
+            signed = verify_signature(file, certificate)
+            why = signed.out_of_force(day)
+            if why:
+                raise PigaError(
+                    f"{file}: the signer's X.509 certificate {why}",
+                    remedy="ask the issuer; --at names the day for which it is to be judged",
+                )
+            root, words = signed.document, f"signed by {signed.signer}"
+        calibration = calibration_of(root, file)
+        calibration.to_json(to / out.name)
+        count = len(calibration.coefficients)
+        to.tell(dict, lambda: f"instrument {calibration.serial}, {count} coefficients; {words}")

@@ -416,14 +416,6 @@ def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[
     return [path.parent / item.run for item in items], mounted, inputs
 
 
-def orthogonal_triad(calibrations: list[Calibration]) -> list[Mounted]:
-    """Three instruments whose input axes are x, y and z of the common frame, in this order.
-
-    The transverse axes follow in cyclic order: the second has ``X0 = y, Y0 = z, Z0 = x``.
-    """
-    return [Mounted(c, np.roll(np.eye(3), -i, axis=0)) for i, c in enumerate(calibrations)]
-
-
 READINGS = 1 << 15
 """Number of instruments times rows processed at once."""
 

@@ -13,12 +13,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.errors import ArgumentError
+from piga.errors import ArgumentError, PigaError
+from piga.output import is_hidden
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE, Coefficient, coverage_factor
 from piga.records.run_file import drawn_for
@@ -266,6 +268,27 @@ class Trend(Result, Reported):
 
 
 @one_thread()
+def read_history(sources: Iterable[Path], serial: str | None = None) -> Iterator[HistoryEntry]:
+    """Records from files, or folders of them. The path of a file is the id; the time is that of the evaluation."""
+    for path in calibration_files(sources):
+        calibration = Calibration.from_json(path)
+        time = dt.datetime.fromisoformat(calibration.provenance.created)
+        if serial is None or calibration.serial == serial:
+            yield str(path), time if time.tzinfo else time.replace(tzinfo=dt.UTC), calibration
+
+
+def calibration_files(sources: Iterable[Path]) -> list[Path]:
+    """The files that are named, and those in folders; what a command is still writing is none of them."""
+    paths: list[Path] = []
+    for source in sources:
+        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
+        inside = [path for path in inside if not any(is_hidden(part) for part in path.parents)]
+        if not inside:
+            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
+        paths += inside
+    return list(dict.fromkeys(paths))
+
+
 def find_trend(history: Iterable[HistoryEntry], *, common: Common = 1.0) -> Trend:
     """Trend of every coefficient that all records hold.
 
