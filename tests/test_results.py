@@ -1,4 +1,4 @@
-"""Results: equality; what they show by themselves; how they leave as Arrow, pandas, polars and xarray."""
+"""Results: equality; what they show by themselves; how they leave as Arrow, pandas and polars."""
 
 from __future__ import annotations
 
@@ -90,7 +90,6 @@ def test_a_serial_cannot_become_markup(cal):
 CALLS = {
     "matplotlib": ("report", "piga.example_run().plot"),
     "pandas": ("notebook", "c.to_dataframe"),
-    "xarray": ("notebook", "c.to_xarray"),
     "pyarrow": ("lab", "c.to_arrow"),
 }
 
@@ -239,13 +238,3 @@ def test_the_table_of_a_calibration(cal):
     assert (frame.loc["k0", "low"], frame.loc["k0", "high"]) == cal["k0"].limits
     assert cal.table_notes()
     assert b"the reference's uncertainty was not given" in cal.to_arrow().schema.metadata[b"piga.notes"]
-
-
-def test_xarray_has_units(run, cal):
-    assert list(cal.to_xarray()["value"].values) == [c.value for c in cal.values()]
-    record = run.to_xarray()
-    assert record["fx"].attrs["units"] == "m/s^2"
-    assert record["t"].attrs["units"] == "s"
-    assert np.array_equal(record["output"].values, run.output)
-    assert record["segment"].values[-1] == "1"
-    assert "t" in record.coords

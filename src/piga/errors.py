@@ -148,7 +148,6 @@ EXTRAS = {
     "jinja2": "lab",
     "matplotlib": "report",
     "pandas": "notebook",
-    "xarray": "notebook",
     "uncertainties": "notebook",
     "h5py": "hdf5",
     "nptdms": "tdms",

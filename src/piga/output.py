@@ -22,7 +22,9 @@ from typing import Any
 
 from piga.errors import ArgumentError, PigaError
 
-_HIDDEN, _MARK, _MOVING = ".piga-stage-", ".piga-results-", ".piga-moving-"
+HIDDEN = ".piga-stage-"
+"""Start of the name of a hidden folder, in which results are not in place yet."""
+_MARK, _MOVING = ".piga-results-", ".piga-moving-"
 _LEFT = 86400.0
 """Age above which a hidden folder is that of a killed run [s]."""
 CALIBRATION_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "summary-*.json")
@@ -68,11 +70,11 @@ def put_in_place(part: Path, target: Path, *, replace: bool = True) -> None:
 @contextmanager
 def _hidden_folder(home: Path) -> Iterator[Path]:
     """A hidden folder in ``home``, removed at the end; those that killed runs left there, too."""
-    for left in home.glob(f"{_HIDDEN}*"):
+    for left in home.glob(f"{HIDDEN}*"):
         with suppress(OSError):
             if time.time() - left.stat().st_mtime > _LEFT:
                 shutil.rmtree(left)
-    with tempfile.TemporaryDirectory(prefix=_HIDDEN, dir=home, ignore_cleanup_errors=True) as hidden:
+    with tempfile.TemporaryDirectory(prefix=HIDDEN, dir=home, ignore_cleanup_errors=True) as hidden:
         yield Path(hidden)
 
 
@@ -108,7 +110,7 @@ def _sync(path: Path) -> None:
 
 
 def _free_folder(
-    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
+    folder: Path, command: str, key: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
 ) -> Path:
     """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
 
@@ -123,15 +125,15 @@ def _free_folder(
         for path in there:
             if path.is_dir() and not path.is_symlink():
                 raise _folder_in_the_way(path)
-        written = [path for path in there if path.exists()]
-        same = next(((path, source) for path in written for source in sources if path.samefile(source)), None)
-        if force and same is not None:
+        same = [(one, read) for one in there if one.exists() for read in sources if one.samefile(read)]
+        if force and same:
             raise ArgumentError(
-                f"{same[0]}: is the input {same[1]}: it would be replaced by the result",
+                f"{same[0][0]}: is the input {same[0][1]}: it would be replaced by the result",
                 remedy="choose another name or folder, or leave --force out",
             )
-        mark = _read_mark(place / f"{_MARK}{command}.json", _key(command, inputs))
-        if force or (same is None and all(_is_unchanged(path, place, mark) for path in there)):
+        mark = _read_mark(place / f"{_MARK}{command}.json", key)
+        ours = (mark.get(path.relative_to(place).as_posix()) == _state(path) for path in there)
+        if force or (not same and not any(map(Path.is_symlink, there)) and all(ours)):
             break
     return place
 
@@ -147,10 +149,6 @@ def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
     return sorted(path for path in matching if path.parent.resolve().is_relative_to(home))
 
 
-def _key(command: str, inputs: Sequence[Path]) -> str:
-    return " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
-
-
 def _read_mark(path: Path, key: str) -> dict[str, Any]:
     """Size and time, by name, of the results from an earlier run with the same command and inputs."""
     try:
@@ -158,10 +156,6 @@ def _read_mark(path: Path, key: str) -> dict[str, Any]:
         return dict(mark["files"]) if mark["key"] == key else {}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
-
-
-def _is_unchanged(path: Path, folder: Path, mark: dict[str, Any]) -> bool:
-    return not path.is_symlink() and mark.get(path.relative_to(folder).as_posix()) == _state(path)
 
 
 def _state(path: Path) -> list[int]:
@@ -182,7 +176,8 @@ def results(
     ``force`` they are replaced, but never an input. ``names`` are patterns of all results of the ``command``; older files with
     such names are removed.
     """
-    folder = _free_folder(folder, command, names, inputs, force=force)
+    key = " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
+    folder = _free_folder(folder, command, key, names, inputs, force=force)
     with ExitStack() as stack:
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -190,12 +185,10 @@ def results(
             stage = stack.enter_context(_hidden_folder(home)) / "results"
             stage.mkdir()
         except OSError as error:
-            raise ArgumentError(
-                f"{folder}: results cannot be written there ({error.strerror})",
-                remedy="choose another folder",
-            ) from None
+            words = f"{folder}: results cannot be written there ({error.strerror})"
+            raise ArgumentError(words, remedy="choose another folder") from None
         yield stage, folder
-        mark = _finish(stage, command, _key(command, inputs))
+        mark = _finish(stage, command, key)
         if folder.is_dir():
             _move(stage, folder, command, names, mark)
         else:
@@ -211,11 +204,6 @@ def check_results(folder: Path) -> None:
             f"{folder}: holds results of two runs of 'piga {command}'; the second was stopped",
             remedy="run that command again with --force",
         )
-
-
-def is_hidden(folder: Path) -> bool:
-    """True for the hidden folder of results that are not in place yet."""
-    return folder.name.startswith(_HIDDEN)
 
 
 def _finish(stage: Path, command: str, key: str) -> Path:
@@ -253,5 +241,6 @@ def _move(stage: Path, folder: Path, command: str, names: Sequence[str], mark: P
             _sync(folder)
             moving.unlink()
     except KeyboardInterrupt as stop:
-        stop.add_note(f"{folder}: results of two runs; run the command again with --force")
+        if moving.exists():
+            stop.add_note(f"{folder}: results of two runs; run the command again with --force")
         raise

@@ -1,8 +1,7 @@
 """Progress of long calls, and how a caller stops them.
 
 A long call takes ``progress``: a function of (done, total, what) that is called before each step. If it returns False, the
-call stops with :class:`piga.CancelledError`. Nothing is half done then: results are made in memory or written beside their
-target. Ctrl-C (``KeyboardInterrupt``) stops a call in the same way, between two steps or within one.
+call stops with :class:`piga.CancelledError`. Nothing is half done then, nor after Ctrl-C (``KeyboardInterrupt``).
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ class Steps:
     def __call__(self, what: str) -> None:
         """The next step begins."""
         report(self._progress, self._done, self._total, what)
-        self._done += 1
-        self._parts = 0
+        self._done, self._parts = self._done + 1, 0
 
     def within(self, share: float, what: str) -> None:
         """A part of the present step begins; ``share`` of the step is done (0 to 1)."""

@@ -185,11 +185,11 @@ def compensate(
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
-    format_of(out)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
     inputs = [*run, *([calibration] if calibration else [])]
     page = nullcontext() if report is None else deliver_file(report, "compensate-page", inputs)
     with page as page_to, deliver_file(out, "compensate", inputs) as to:
+        format_of(out)
         options["force"] = other_serial
         if several:
             solved = _together(run[0], report is not None, options)

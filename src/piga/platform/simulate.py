@@ -19,7 +19,8 @@ from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
-from piga.results import Array, Column, Plotted, Result, arrow_table
+from piga.records.arrays import Column, arrow_table
+from piga.results import Array, Plotted, Result
 from piga.stand.profile import read_columns
 from piga.upper import doors
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import ArgumentError, PigaError
-from piga.output import is_hidden
+from piga.output import HIDDEN
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE, Coefficient, coverage_factor
 from piga.records.run_file import drawn_for
@@ -282,7 +282,7 @@ def calibration_files(sources: Iterable[Path]) -> list[Path]:
     paths: list[Path] = []
     for source in sources:
         inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
-        inside = [path for path in inside if not any(is_hidden(part) for part in path.parents)]
+        inside = [path for path in inside if not any(part.startswith(HIDDEN) for part in path.parts)]
         if not inside:
             raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
         paths += inside

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError
+from piga.records.arrays import Column, Tabular, columns_of
 from piga.records.calibration.coefficient import (
     NO_REFERENCE,
     OF_THE_MODEL,
@@ -38,18 +39,7 @@ from piga.records.calibration.diagnostics import (
 )
 from piga.records.run_file import check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, unit_of
-from piga.results import (
-    Array,
-    ByValue,
-    Column,
-    Reported,
-    Result,
-    Tabular,
-    columns_of,
-    drawn,
-    first_lines,
-    shortened,
-)
+from piga.results import Array, ByValue, Reported, Result, drawn, first_lines, repr_of
 from piga.units import from_si, numbers_are_si, to_si
 from piga.upper import doors
 
@@ -228,12 +218,8 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
         named = f"<Calibration of {self.serial or 'an instrument'} by {made}, standard uncertainties"
         rows = [f"{c.key} = {rounded(c)} +- {c.std:.2g} {c.unit}" for c in self.coefficients]
         doubts = [f"  doubt: {doubt.words}" for doubt in self.verdict.doubts]
-        lines = [
-            *first_lines(rows, 5),
-            f"verdict: {self.verdict.headline}",
-            *first_lines(doubts, 3, ": summary()"),
-        ]
-        return "\n  ".join([named, *(shortened(line) for line in lines)]) + ">"
+        judged = f"verdict: {self.verdict.headline}"
+        return repr_of([named, *first_lines(rows, 5), judged, *first_lines(doubts, 3, ": summary()")])
 
     def _subject(self) -> ModuleType:
         return doors().shown_calibration()
