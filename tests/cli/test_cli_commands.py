@@ -114,45 +114,39 @@ def test_wrong_use_is_exit_2_with_one_message(
 
 @pytest.mark.long
 def test_joint_calibration_of_the_shipped_examples(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two simulated stands, calibrated together and again from a summary of one of them."""
+    """Two simulated stands, calibrated together and again from a summary of one of them; compensated as one run sees it."""
+
+    def done(*words: object, code: int = 0) -> str:
+        ended, out, err = outcome(capsys, *words)
+        assert ended == code, err
+        return out if code == 0 else err
+
     examples = Path(__file__).parents[2] / "examples"
     for name in ("dividing-head", "centrifuge"):
-        code, out, err = outcome(
-            capsys, "simulate", str(examples / f"joint-{name}.toml"), "--out", str(tmp_path / name)
-        )
-        assert code == 0, err
-    head, spun = str(tmp_path / "dividing-head/run.toml"), str(tmp_path / "centrifuge/run.toml")
-    code, out, err = outcome(capsys, "calibrate", head, "--out", str(tmp_path / "alone"))
-    assert code == 2
-    assert "cannot separate k0, k2, k_YY" in err
-    code, out, err = outcome(capsys, "calibrate", head, spun, "--summary", "--out", str(tmp_path / "joint"))
-    assert code == 0, err
-    written = {path.name for path in (tmp_path / "joint").glob("[!.]*")}
-    assert written >= {
-        "calibration.json",
-        "report.html",
-        "summary-dividing-head.json",
-        "summary-centrifuge.json",
-    }
-    first = json.loads((tmp_path / "joint/calibration.json").read_text())
+        done("simulate", examples / f"joint-{name}.toml", "--out", tmp_path / name)
+    head, spun, joint = (tmp_path / name for name in ("dividing-head/run.toml", "centrifuge/run.toml", "joint"))
+    assert "cannot separate k0, k2, k_YY" in done("calibrate", head, "--out", tmp_path / "alone", code=2)
+    done("calibrate", head, spun, "--summary", "--out", joint)
+    first = json.loads((joint / "calibration.json").read_text())
     values = {c["name"]: c for c in first["coefficients"] if c["name"] != "phi"}
     assert abs(values["k_YY"]["value"] + 5e-6) < 4.0 * values["k_YY"]["std"]
     assert values["m_Y"]["run"] == "dividing-head"
-    whole = ("compensate", spun, "--calibration", str(tmp_path / "joint/calibration.json"))
-    code, out, err = outcome(capsys, *whole, "--out", str(tmp_path / "out.csv"))
-    assert code == 2
-    assert "--as-run dividing-head" in err
-    code, out, err = outcome(capsys, *whole, "--as-run", "centrifuge", "--out", str(tmp_path / "out.csv"))
-    assert code == 0, err
-    summary = str(tmp_path / "joint/summary-dividing-head.json")
-    code, out, err = outcome(
-        capsys, "calibrate", summary, spun, "--json", "--no-report", "--out", str(tmp_path / "again")
+    compensate = (
+        "compensate",
+        spun,
+        "--calibration",
+        joint / "calibration.json",
+        "--out",
+        tmp_path / "out.csv",
     )
-    again = {c["name"]: c["value"] for c in json.loads(out)["coefficients"]}
-    assert again["k_YY"] == pytest.approx(values["k_YY"]["value"], rel=1e-6)
-    both = [summary, str(tmp_path / "joint/summary-centrifuge.json")]
-    code, out, err = outcome(capsys, "calibrate", *both, "--no-report", "--out", str(tmp_path / "merged"))
-    assert code == 0, err
+    assert "--as-run dividing-head" in done(*compensate, code=2)
+    done(*compensate, "--as-run", "centrifuge")
+    both = [joint / f"summary-{name}.json" for name in ("dividing-head", "centrifuge")]
+    again = done("calibrate", both[0], spun, "--json", "--no-report", "--out", tmp_path / "again")
+    assert {c["name"]: c["value"] for c in json.loads(again)["coefficients"]}["k_YY"] == pytest.approx(
+        values["k_YY"]["value"], rel=1e-6
+    )
+    done("calibrate", *both, "--no-report", "--out", tmp_path / "merged")
     assert [path.name for path in (tmp_path / "merged").glob("[!.]*")] == ["calibration.json"]
 
 
