@@ -14,7 +14,7 @@ import pytest
 
 import piga
 from piga.compensation import Mounted, Phase, SetCompensator, compensate_set
-from piga.compensation.sets import orthogonal_triad, read_member, read_triad
+from piga.compensation.sets import read_member, read_triad
 from piga.units import G0
 from tests.compensation.run_files import CAL, command, write
 from tests.compensation.triads import orthogonal
@@ -187,7 +187,7 @@ def test_set_whose_times_differ_is_refused_by_name(tmp_path: Path) -> None:
     table = pa.parquet.read_table(tmp_path / "z.parquet")
     late = table["t"].to_numpy() + np.where(np.arange(200) > 150, 1e-4, 0.0)
     pa.parquet.write_table(table.set_column(0, "t", pa.array(late)), tmp_path / "z.parquet")
-    mounted = orthogonal_triad([calibration_of(CAL, serial="A") for _ in runs])
+    mounted = [Mounted(calibration_of(CAL, serial="A"), axes) for axes in orthogonal()]
     with pytest.raises(
         piga.DataError, match=r"z\.toml: row 152, t = 1\.51\d* s: the times are not those of .*x\.toml"
     ):
