@@ -273,7 +273,7 @@ def test_words_of_the_command_that_do_not_fit(
             f"piga: {tmp_path / 'o.txt'}: piga does not write",
         ),
         ((run, "--calibration", cal, "--calibration", cal, "--out", tmp_path / "o.csv"), "is given 2 times"),
-        ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 runs and 1 calibrations"),
+        ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 run files: piga cannot know"),
     ):
         code, _, text = command(monkeypatch, capsys, *words)
         assert code == 2

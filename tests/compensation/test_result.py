@@ -90,11 +90,13 @@ def test_what_cannot_be_resampled_is_refused():
 
 
 def test_set_at_another_rate_keeps_the_velocity(tmp_path, monkeypatch, capsys):
-    words = [write(tmp_path, f"{name}.parquet", axes=orthogonal()[i]) for i, name in enumerate("xyz")]
-    for name in "xyz":
-        words += ["--calibration", tmp_path / f"{name}.json"]
+    text, triad = "", tmp_path / "triad.toml"
+    for name, axes in zip("xyz", orthogonal(), strict=True):
+        run = write(tmp_path, f"{name}.parquet", axes=axes).name
+        text += f'[[triad.instrument]]\nrun = "{run}"\ncalibration = "{name}.json"\naxes = {axes.tolist()}\n'
+    triad.write_text(text)
     for name, more in (("a", ()), ("b", ("--rate", "10 Hz"))):
-        code, _, text = command(monkeypatch, capsys, *words, "--out", tmp_path / f"{name}.parquet", *more)
+        code, _, text = command(monkeypatch, capsys, triad, "--out", tmp_path / f"{name}.parquet", *more)
         assert code == 0, text
     fine, slow = (pa.parquet.read_table(tmp_path / f"{name}.parquet") for name in "ab")
     assert slow.column_names == ["t", "fx", "fy", "fz", "dvx", "dvy", "dvz", "flags"]

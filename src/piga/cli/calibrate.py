@@ -136,7 +136,7 @@ def demo(
 
 def compensate(
     run: Annotated[list[Path], argument("RUN.toml", "Run file, triad file, or - (live).")],
-    calibration: Annotated[Path | None, option("CALIBRATION.json", "Calibration of the run.")] = None,
+    calibration: Annotated[list[Path] | None, option("CALIBRATION.json", "Calibration of the run.")] = None,
     out: Annotated[Path, option("FILE", "Result, .parquet or .csv; - for a live stream.")] = Path("-"),
     method: Annotated[
         Literal["exact", "published"] | None,
@@ -178,15 +178,14 @@ def compensate(
         if given.get(name, method == "published"):
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
     if live:
-        used, _ = _calibration(calibration, as_run)
-        _live(piga.Compensator(used, kind=kind, **options), arrow)
+        _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind, **options), arrow)
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
     if report is not None and report.suffix != ".html":
         raise ArgumentError(f"--report {report}: the name must end in .html", remedy="e.g. report.html")
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # PyArrow's own keeps 30 MB of unused memory
-    inputs = [*run, *([calibration] if calibration else [])]
+    inputs = [*run, *(calibration or [])]
     page = nullcontext() if report is None else deliver_file(report, "compensate-page", inputs)
     with page as page_to, deliver_file(out, "compensate", inputs) as to:
         format_of(out)
@@ -253,15 +252,16 @@ _NO_EFFECT = {
 """Options that would have no effect, and the alternative."""
 
 
-def _calibration(path: Path | None, as_run: str | None) -> tuple[piga.Calibration, tuple[str, str]]:
+def _calibration(paths: list[Path] | None, as_run: str | None) -> tuple[piga.Calibration, tuple[str, str]]:
     """The calibration of the command, and its file with the SHA-256 as read."""
     from piga.records.calibration.document import read_with_digest
 
-    if path is None:
-        remedy = "name the calibration of the run: --calibration CALIBRATION.json"
-        raise ArgumentError("--calibration is missing", remedy=remedy)
-    calibration, digest = read_with_digest(path)
-    return calibration if as_run is None else calibration.for_run(as_run), (path.name, digest)
+    if paths is None or len(paths) != 1:
+        given = f"is given {len(paths)} times" if paths else "is missing"
+        remedy = "name the one calibration of the run: --calibration CALIBRATION.json"
+        raise ArgumentError(f"--calibration {given}", remedy=remedy)
+    calibration, digest = read_with_digest(paths[0])
+    return calibration if as_run is None else calibration.for_run(as_run), (paths[0].name, digest)
 
 
 class _Solved(NamedTuple):
