@@ -173,9 +173,10 @@ def compensate(
     options["phase"] = None if phase is None else piga.Phase(to_si(phase, "rad", what="--phase"))
     live, several = str(run[0]) == "-", is_triad_file(run[0])
     where = "a live stream" if live else "several instruments" if several else ""
-    given = {"identify_phase": rest, "phase": phase, "rate": hertz, "report": report, "as_run": as_run}
+    given: dict[str, Any] = {"identify_phase": rest, "phase": phase, "rate": hertz, "report": report}
+    given |= {"as_run": as_run, "method published": method == "published"}
     for name, remedy in _NO_EFFECT.get(where, {}).items():
-        if given.get(name, method == "published"):
+        if given[name]:
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
     if live:
         _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind, **options), arrow)

@@ -304,9 +304,7 @@ def explain_key(key: str) -> None:
     tell(rows, (f"{'; '.join(places[:4])}{more[meaning]}\n{meaning}" for meaning, places in named.items()))
 
 
-def terms(
-    name: Annotated[str | None, argument("TERM", "One term; all if left out.")] = None,
-) -> None:
+def terms(name: Annotated[str | None, argument("TERM", "One term; all if left out.")] = None) -> None:
     """List the terms of the error model.
 
     For each: what it multiplies, its unit, its meaning, the test that shows it, and a size from the literature where there is one.

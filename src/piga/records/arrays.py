@@ -1,5 +1,6 @@
-"""Arrays of a record. An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
+"""Arrays of a record, and how they leave as tables.
 
+An array above :data:`LARGE_BYTES` lies in a file without a name; NumPy works on it as on any other.
 A record of any length is therefore read, calibrated and compensated with about two columns in memory: the temporaries of
 one operation.
 The files vanish when the process ends, even if it crashes. They lie in the folder that the environment variable ``TMPDIR``
