@@ -26,16 +26,6 @@ LONG = LONG.replace("records_per_shard = 4", "records_per_shard = 3")
 """30 records in 10 shards: the first part is written long before the last."""
 
 
-def test_manifest_is_a_function_of_the_file(tmp_path):
-    path = written(tmp_path)
-    first, second = (plan_campaign(path, tmp_path / name) for name in ("a", "b"))
-    texts = [(c.folder / "manifest.json").read_bytes() for c in (first, second)]
-    assert texts[0] == texts[1]
-    assert first.key == second.key
-    other = written(tmp_path, SMALL.replace("seed = 7", "seed = 8"), "other.toml")
-    assert plan_campaign(other, tmp_path / "c").key != first.key
-
-
 def test_folder_of_another_campaign(tmp_path):
     plan_campaign(written(tmp_path), tmp_path / "out")
     changed = written(tmp_path, SMALL.replace("repeats = 7", "repeats = 8"))

@@ -231,29 +231,6 @@ def test_numbers_come_back_to_the_bit(value, units):
     assert len(Decimal(text).as_tuple().digits) <= DIGITS or power == 0
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        (
-            b"digitalCalibrationCertificate",
-            b"digitalCalibrationCertifikate",
-            "not a Digital Calibration Certificate",
-        ),
-        (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
-        (b"piga_calibrationRecord", b"other", "no calibration record"),
-        (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
-        (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "valueStandardMUXMLList is"),
-        (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "has 7 parts, not 6"),
-    ],
-)
-def test_damaged_certificates_are_refused_in_words(cal, tmp_path, old, new, words):
-    raw = document(cal)
-    assert old in raw
-    changed_raw = raw.replace(old, new) if b"Certificate" in old else raw.replace(old, new, 1)
-    with pytest.raises(PigaError, match=words):
-        back(changed_raw, tmp_path)
-
-
 @pytest.fixture(scope="module")
 def stated(cal):
     """A certificate that states all there is: ranges, conformity, statements, results before adjustment, an interval."""
@@ -354,12 +331,19 @@ def test_a_certificate_of_piga_0_2_without_its_data_is_read_by_its_results(state
         (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "text beside its parts"),
         (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "comments"),
         (b"<si:label>k2<", b"<si:label value='3'>k2<", "stands where"),
+        (b"digitalCalibrationCertificate", b"digitalCalibration", "not a Digital Calibration Certificate"),
+        (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
+        (b"piga_calibrationRecord", b"other", "no calibration record"),
+        (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
+        (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "valueStandardMUXMLList is"),
+        (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "has 7 parts, not 6"),
     ],
 )
 def test_a_certificate_has_one_form(stated, old, new, words):
     assert old in stated
+    raw = stated.replace(old, new) if b"Certificate" in old else stated.replace(old, new, 1)
     with pytest.raises(PigaError, match=words):
-        calibration_of(etree.fromstring(stated.replace(old, new, 1)), Path("forged.xml"))
+        calibration_of(etree.fromstring(raw), Path("forged.xml"))
 
 
 @pytest.mark.parametrize("limits", [{"k9": ["-1 g", "1 g"]}, {"k0": ["-1 s", "1 s"]}, {"k0": ["x"]}])

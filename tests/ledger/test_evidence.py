@@ -97,16 +97,6 @@ def test_results_of_calibrate_are_kept_as_they_are(tmp_path: Path) -> None:
         assert store.head().number == 2
 
 
-def test_results_of_two_runs_are_never_kept_together(tmp_path: Path) -> None:
-    """A second calibration was stopped while it put its files in place."""
-    run, out = small_run(tmp_path), tmp_path / "out"
-    out.mkdir()
-    piga.calibrate(piga.read_run(run), ["scale_factor"], "rate").to_json(out / "calibration.json")
-    (out / ".piga-moving-calibrate").touch()
-    with pytest.raises(PigaError, match="results of two runs"):
-        prepare_run(run, "A", "test", results=out)
-
-
 def test_absolute_data_file_is_refused(tmp_path: Path) -> None:
     run = small_run(tmp_path)
     run.write_text(run.read_text().replace('file = "run.csv"', f'file = "{tmp_path}/run.csv"'))

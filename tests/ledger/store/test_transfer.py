@@ -46,6 +46,8 @@ CASES: dict[str, tuple[Callable[[], Draft], str]] = {
         lambda: dataclasses.replace(draft(), software={"piga": "1\n2"}), "software: a text",
     ),
     "two files of one name": (lambda: twice(draft()), "two have the same name"),
+    "no operator": (lambda: dataclasses.replace(draft(), operator=""), "operator: is empty"),
+    "a file that leads out": (lambda: dataclasses.replace(draft(), files=(DraftFile("data", "../x", b""),)), "cannot be stored"),
     "no calibration": (lambda: calibrated(data=b"{}"), "not a calibration record"),
     "a calibration of another instrument": (lambda: calibrated("T-2"), "is of instrument 'T-1'"),
 }  # fmt: skip
