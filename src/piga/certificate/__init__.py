@@ -8,10 +8,4 @@
 from piga.certificate.certificate_file import CertificateFile, missing_items, read_certificate_file
 from piga.certificate.page import certificate_html, require_complete
 
-__all__ = [
-    "CertificateFile",
-    "certificate_html",
-    "missing_items",
-    "read_certificate_file",
-    "require_complete",
-]
+__all__ = ["CertificateFile", "certificate_html", "missing_items", "read_certificate_file", "require_complete"]
