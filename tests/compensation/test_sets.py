@@ -177,4 +177,4 @@ def test_products_of_changing_forces_in_a_set(name: str) -> None:
     f = G0 * (1.0 + 8.0 * t)[:, None] * np.array([1.0, -0.7, 0.8])
     runs, mounted = made(t, f, orthogonal(), errors={name: 0.02})
     error = compensate_set(runs, mounted).f[1:] - 0.5 * (f[1:] + f[:-1])
-    assert np.abs(error[2:10]).max() < 3e-6 * G0
+    assert np.abs(error[2:10]).max() < 1e-8 * G0
