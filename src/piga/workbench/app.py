@@ -197,12 +197,11 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
     routes = [*common.ROUTES, *record.ROUTES, *later.ROUTES]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
     app.state.bench = bench
-    server = uvicorn.Server(
-        uvicorn.Config(
-            Guard(app, door), log_level="error", access_log=False, server_header=False, proxy_headers=False, http="h11",
-            loop="asyncio", timeout_graceful_shutdown=_GRACE, limit_concurrency=_MOST_CONNECTIONS, lifespan="on",
-        )
+    config = uvicorn.Config(
+        Guard(app, door), log_level="error", access_log=False, server_header=False, proxy_headers=False, http="h11",
+        loop="asyncio", timeout_graceful_shutdown=_GRACE, limit_concurrency=_MOST_CONNECTIONS, lifespan="on",
     )  # fmt: skip
+    server = uvicorn.Server(config)
 
     def end(_number: int, _frame: Any) -> None:
         server.should_exit = True  # before it began; uvicorn raises the signal again when it has ended

@@ -283,8 +283,7 @@ def error_page(request: Request, error: Exception) -> Response:
     title = "Changed meanwhile" if changed else "This cannot be done"
     values = {"text": text, "remedy": remedy, "changed": changed, "again": request.headers.get("referer", "/")}
     page = render(request, "error", title, status, **values)
-    whole = {"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"}  # of a part, too
-    page.headers.update(whole)
+    page.headers.update({"hx-retarget": "#main", "hx-reselect": "#main", "hx-reswap": "outerHTML"})
     return page
 
 
@@ -363,9 +362,7 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
     text = text if "." in text else text.replace(",", ".", 1)
     if re.fullmatch(r"[-+.,\deE]+", text):
         if not unit and like != "1":
-            raise UnitError(
-                "the unit is missing", remedy="choose it in the menu, or write it behind the number"
-            )
+            raise UnitError("the unit is missing", remedy="choose it in the menu, or write it with the number")
         text = f"{text} {unit}".strip()
     elif not text.endswith(unit):
         raise UnitError(f"{text[:40]!r}, but the menu says {unit!r}", remedy="choose one")
@@ -373,20 +370,15 @@ def quantity(written: str, unit: str, like: str, what: str) -> str:
     return text
 
 
-def _job_of(request: Request) -> tuple[Bench, Job]:
-    bench = bench_of(request)
-    job = bench.jobs.by_key.get(request.path_params["key"])
-    if job is None:
-        raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
-    return bench, job
-
-
 def _show_jobs(request: Request) -> Response:
     return render(request, "jobs", "Jobs", jobs=bench_of(request).jobs.all())
 
 
 def _show_job(request: Request) -> Response:
-    bench, job = _job_of(request)
+    bench = bench_of(request)
+    job = bench.jobs.by_key.get(request.path_params["key"])
+    if job is None:
+        raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
     state, line = job.state, f"piga {shlex.join(job.command)}"
     files = _result_files(bench, job) if state == "done" else []
     return render(request, "job", f"{job.title} {job.subject}", job=job, state=state, line=line, files=files)
@@ -404,8 +396,10 @@ def _progress(request: Request) -> Response:
 
 def _stop_job(request: Request) -> Response:
     """Stop a job; one that has ended is forgotten, so that its page asks for it again."""
-    bench, job = _job_of(request)
-    bench.jobs.stop(job) if job.state == "running" else bench.jobs.forget(job)
+    jobs = bench_of(request).jobs
+    job = jobs.by_key.get(request.path_params["key"])
+    if job is not None:
+        jobs.stop(job) if job.state == "running" else jobs.forget(job)
     return RedirectResponse(request.headers.get("referer") or "/jobs", 303)
 
 

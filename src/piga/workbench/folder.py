@@ -33,14 +33,10 @@ _LOG_SUFFIXES = (*TEXT_SUFFIXES, *CONTAINERS, ".parquet", ".pq")
 STATE_FOLDER = ".piga-ui"
 TRIALS = f"{STATE_FOLDER}/trials/"
 """Begin of the names of answers that are not kept."""
-_MOST_FILES = 5000
-"""Most files that are listed. A folder with more is not a folder of records."""
-_DEPTH = 4
-"""Levels of folders that are listed."""
-_MOST_TOML = 1 << 20
-"""Largest TOML file [bytes] that is listed and edited."""
-_MOST_RESULT = 200 << 20
-"""Largest result file [bytes] that is read."""
+_MOST_FILES, _DEPTH = 5000, 4
+"""Files and levels of folders that are listed, at most. A folder with more is not a folder of records."""
+_MOST_TOML, _MOST_RESULT = 1 << 20, 200 << 20
+"""Largest TOML file and largest result file [bytes] that are read."""
 _LONGEST_NAME = 100
 """Most bytes of the stem of a new file. The names of its results are longer; a file system takes 255."""
 CALIBRATION = "calibration.json"

@@ -62,9 +62,8 @@ _MADE_LATER = ("[certificate] issued", "[adjustment] before")
 def _shown(key: str, value: Any) -> str:
     """An entry as it is typed; the parts of a list have a line each, the cells of a table a semicolon between them."""
     if key in _LISTS:
-        rows = (
-            row if isinstance(row, str) else "; ".join(row.get(one, "") for one in _LISTS[key]) for row in value
-        )
+        part = _LISTS[key]
+        rows = (one if isinstance(one, str) else "; ".join(one.get(name, "") for name in part) for one in value)
         return "\n".join(row.rstrip("; ") for row in rows)
     return value if isinstance(value, str) else toml_value(value)
 
@@ -103,10 +102,8 @@ def _own(bench: Bench, kept: Kept) -> tuple[dict[str, Any], str, dict[str, str]]
     known = {key: value for key, value in _entries(document).items() if value != theirs.get(key)}
     known |= {"item.serial": kept.calibration.serial, "calibration.end": kept.created[:10]}
     numbers = (known.get("certificate.number"), *(f"{time.strftime('%Y')}-{n:04d}" for n in range(1, 10000)))
-    unused = (
-        one for one in numbers if one and not (bench.folder.root / f"certificate-{plain_name(one)}").exists()
-    )
-    known["certificate.number"] = next(unused)
+    places = ((one, bench.folder.root / f"certificate-{plain_name(one)}") for one in numbers if one)
+    known["certificate.number"] = next(one for one, place in places if not place.exists())
     return document, text, {key: _shown(key, known.get(key, "")) for key in _EXAMPLE}
 
 
@@ -158,8 +155,7 @@ def _certificate(request: Request, sent: Sent) -> Response:
         )  # fmt: skip
         marked.add(fault)
         groups.setdefault(table or key, []).append(field)
-    note = "To sign it, add --key KEY.pem --certificate CERT.pem to the command that the next page shows."
-    dcc = Field("dcc", "as digital certificate too (DCC)", note=note, choices=(("", "no"), ("1", "yes")))
+    dcc = Field("dcc", "as digital certificate too (DCC)", choices=(("", "no"), ("1", "yes")))
     groups["certificate"].append(dcc.with_sent(sent))
     advice = "An entry that is missing is marked below." if missing else "The certificate can be issued."
     words = f"{in_words(kept)}, made {kept.created[:10]}. Each entry must be your own; the grey words are an example."
@@ -184,10 +180,7 @@ def _asked(
 def _compensation(request: Request, sent: Sent) -> Response:
     bench, of = bench_of(request), request.query_params.get("of", "")
     folder, calibration = bench.folder, f"{kept_of(bench, of).name}/{CALIBRATION}"
-    words = (
-        f"The cross-coupling is taken off a record with the coefficients of {of}. The file is written beside the record. "
-        "Phase of the output zero, other rates, CSV, and another serial number: piga compensate."
-    )
+    words = f"The cross-coupling is taken off a record with {of}. Phase of the output zero, other rates, CSV: piga compensate."
     runs = tuple((entry.name, entry.name) for entry in folder.entries() if entry.state == "ready")
     name = _asked(request, sent, "Compensate", words, Field("run", "record", choices=runs))
     if isinstance(name, Response):
@@ -204,10 +197,7 @@ def _plan(request: Request, sent: Sent) -> Response:
     import tomlkit
 
     bench, kept = bench_of(request), kept_of(bench_of(request), request.query_params.get("of", ""))
-    words = (
-        "Which positions of a dividing head, how long in each, and which uncertainty that gives. The plan begins with example "
-        "values of stand and instrument, and with its serial number and K; every entry can be changed as text afterwards."
-    )
+    words = "Positions of a dividing head, and the uncertainty that they give. Example values can be changed as text afterwards."
     hours = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
     duration = _asked(request, sent, "Plan the test", words, hours, f"/text?example={_PLAN}")
     if isinstance(duration, Response):

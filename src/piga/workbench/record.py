@@ -36,10 +36,8 @@ from piga.workbench.common import FIT, Bench, Field, Job, Sent, bench_of, in_lin
 from piga.workbench.folder import TRIALS, Folder, Kept, OutsideError, results_of
 from piga.workbench.signals import Outline, cache_key, picture, read_outline, rows_between
 
-MOST_UPLOAD = 4 << 30
-"""Largest file [bytes] that may be dropped in. Larger ones are copied into the folder."""
-_SMALL = 20_000_000
-"""Size of a log [bytes] up to which a faulty run file is answered with lines that repair it. They are tried on the log."""
+MOST_UPLOAD, _SMALL = 4 << 30, 20_000_000
+"""Largest file [bytes] that may be dropped in; largest log on which lines are tried that repair a faulty run file."""
 _TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
 
@@ -394,12 +392,8 @@ def _answer(bench: Bench, name: str, every: int, ticked: list[str]) -> dict[str,
     if answer is not None:
         bench.answers[name] = [key, *last][:2]
         values |= {"key": key, "rows": _rows(answer.calibration, (former or answer).calibration)}
-    return values | {
-        "answer": answer or early,
-        "former": former,
-        "fit": fit,
-        "message": fit.fault if fit else "",
-    }
+    values["message"] = fit.fault if fit else ""
+    return values | {"answer": answer or early, "former": former, "fit": fit}
 
 
 def _rows(one: Calibration, other: Calibration) -> list[dict[str, Any]]:
@@ -409,9 +403,8 @@ def _rows(one: Calibration, other: Calibration) -> list[dict[str, Any]]:
         pair = [made.get(key) for made in (one, other)]
         name, unit = next((c.name, c.unit) for c in pair if c)
         factor, unit = shown_unit(name, unit)
-        rows.append(
-            {"key": key, "unit": unit, "cells": [c and (factor * c.value, factor * c.std) for c in pair]}
-        )
+        cells = [c and (factor * c.value, factor * c.std) for c in pair]
+        rows.append({"key": key, "unit": unit, "cells": cells})
     return rows
 
 

@@ -30,10 +30,8 @@ from piga.results import Array
 from piga.text_files import toml_document, toml_text
 from piga.units import G0, offset_to_si, parse_unit
 
-BLOCK = 256
-"""Samples per block of the envelope."""
-DRAWN = 1 << 18
-"""Samples of a span that is drawn from the samples themselves."""
+BLOCK, DRAWN = 256, 1 << 18
+"""Samples per block of the envelope; samples of a span that is drawn from the samples themselves."""
 _MOST_WIDTH = 4096
 """Largest width of a picture [pixels]."""
 MOVING = 0.01 * G0

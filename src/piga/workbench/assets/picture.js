@@ -124,10 +124,6 @@ const startPicture = () => {
     if (marking() && shown[1] - shown[0] < duration) mark(...shown);  // without a mouse: the part that is shown
     else redraw();
   });
-  find("position").addEventListener("change", (event) => {
-    const one = record.positions[event.target.value] || { first: 0, last: duration };
-    show(one.first, one.last).then(() => { if (marking()) mark(one.first, one.last); });
-  });
   const moves = {
     earlier: (a, b) => [a - (b - a) / 2, b - (b - a) / 2], later: (a, b) => [a + (b - a) / 2, b + (b - a) / 2],
     in: (a, b) => [a + (b - a) / 4, b - (b - a) / 4], out: (a, b) => [a - (b - a) / 2, b + (b - a) / 2], all: () => [0, duration],
