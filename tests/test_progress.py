@@ -13,7 +13,6 @@ import pytest
 
 import piga
 from piga.records.run_file import UncertaintyTable
-from piga.units import G0
 from tests.short_record import SCALE, TERMS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -75,12 +74,8 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
         )
         for a in axes
     ]
-    turning = turns_record()
     return {
         "joint": lambda progress: piga.calibrate(budgeted, TERMS, progress=progress),
-        "revolutions": lambda progress: piga.calibrate(
-            turning, ["scale_factor", "k0"], "revolutions", progress=progress
-        ),
         "budget": lambda progress: piga.calibrate(budgeted[0], TERMS, progress=progress),
         "compare": lambda progress: piga.compare_models(run, [TERMS[:2], TERMS], progress=progress),
         "set": lambda progress: piga.compensate_set(
@@ -90,17 +85,7 @@ def long_calls(run: piga.Run, cal: piga.Calibration) -> dict[str, Callable[..., 
     }
 
 
-def turns_record() -> piga.Run:
-    """Two positions, each visited twice, with eight turns a visit, at rest."""
-    t = np.arange(0.0, 240.0, 0.1)
-    visit = (t // 60.0).astype(int)
-    f = G0 * np.column_stack([np.where(visit % 2 == 0, 1.0, -1.0), 0.05 + 0 * t, 0 * t])
-    inst = piga.Instrument(scale_factor=SCALE, beta="100 arcsec", alpha0=0.4)
-    psi = piga.propagate(inst, t, f, between="linear") + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
-    return piga.Run.from_arrays(t, psi, f, scale_factor=SCALE, segment=visit, units="SI")
-
-
-LONG = ("joint", "revolutions", "budget", "compare", "set", "rows")
+LONG = ("joint", "budget", "compare", "set", "rows")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -176,9 +176,5 @@ METHOD_WORDS: dict[str, tuple[str, str]] = {
         "least squares of rates, differences of the angle",
         "for records that hold rates, and to see what differencing loses",
     ),
-    "revolutions": (
-        "mean rates over whole turns of the outer gimbal, as laboratories do it by hand",
-        "to compare with older records; needs whole turns in each position",
-    ),
 }
 """What each method is, and when to use it."""

@@ -143,7 +143,7 @@ def test_phase_from_input_leaves_the_published_residual() -> None:
         (["k0", "k0"], {}, "named twice"),
         (["k0_T"], {}, "needs the temperature"),
         (["k0"], {"method": "magic"}, "method: 'magic' is not known"),
-        (["k0"], {"method": "published"}, "'published' is not among"),
+        (["k0"], {"method": "revolutions"}, "'revolutions' is not among"),
         (["tan_beta"], {"phase_source": "input", "phases": "per-segment"}, "needs phases = 'shared'"),
     ],
 )
@@ -275,7 +275,7 @@ def test_former_names_still_work() -> None:
         piga.calibrate(run, phase="shared", phases="shared")
     with pytest.raises(piga.ArgumentError) as refused:
         piga.calibrate(run, FEW, "magic")
-    assert refused.value.remedy == "one of: information, rate, revolutions"
+    assert refused.value.remedy == "one of: information, rate"
 
 
 def test_harmonics_without_a_coupling() -> None:

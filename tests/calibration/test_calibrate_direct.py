@@ -103,7 +103,6 @@ def test_asymmetry_of_the_scale_factor_is_found_and_taken_out(tmp_path: Path) ->
         ("'m_Y'", "'s1', 'c1'", "'s1' turns with the gimbal"),
         ("[model]", '[model]\nphases = "per-segment"', "phases 'per-segment' belongs to the gimbal"),
         ("[model]", '[model]\nphase_source = "input"', "phase_source 'input' belongs to the gimbal"),
-        ("[model]", '[estimation]\nmethod = "revolutions"\n[model]', "method 'revolutions' belongs to the gimbal"),
     ],
 )  # fmt: skip
 def test_what_belongs_to_a_gimbal_is_refused_by_name(tmp_path: Path, old: str, new: str, words: str) -> None:

@@ -265,7 +265,7 @@ def test_terms_that_cannot_differ_between_runs(runs: list[piga.Run], name: str, 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["positions"][0]["part"]["factor"][0].pop(), "its summaries are damaged"),
+        (lambda d: d["positions"][0]["part"]["factor"][0].pop(), "not a valid run summary"),
         (lambda d: d["positions"][0]["part"]["names"].__setitem__(0, "speed"), "its summaries are damaged"),
         (lambda d: d["positions"][0]["part"].__setitem__("count", -1), "its summaries are damaged"),
         (lambda d: d["positions"].clear(), "its summaries are damaged"),

@@ -10,8 +10,8 @@ import pytest
 from benchmarks import verdict
 
 import piga
-from piga.calibration import RunSummary, missing_terms
-from piga.records.calibration.coefficient import OF_THE_MODEL, Coefficient
+from piga.calibration import RunSummary
+from piga.records.calibration.coefficient import OF_THE_MODEL
 from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.servo_data import (
@@ -124,13 +124,6 @@ def test_k2o_leaves_the_servo_in_u_of_k():
     result = piga.calibrate(verdict.head(1, yielding(4.0)), [*verdict.TERMS, "k2o"])
     assert any(row.source in (UNNAMED, SERVO_LEFT) for row in result.budget)
     assert holds(result, verdict.K * G0)
-
-
-def test_a_clear_damping_of_few_degrees_of_freedom_is_clear():
-    """60 standard uncertainties with one degree of freedom by the rule: at least four are assumed for the decision."""
-    few = Coefficient("servo_damping", 1.0006e-5, 1.7e-7, "g/g^3", degrees_of_freedom=1.0)
-    assert missing_terms._is_clear(few, 2)
-    assert not missing_terms._is_clear(replace(few, value=6e-7), 2)
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,10 @@ from piga._kernels.estimation import product_column
 from piga.calibration import missing_terms
 from piga.calibration.intervals import sandwich
 from piga.calibration.model.reduction import triangle
-from piga.calibration.revolutions import ripple
 from piga.instrument.parameters import ErrorModel
 from piga.instrument.twin.linear import servo_terms
 from piga.instrument.twin.parameters import TwinParameters
+from piga.studies.revolutions import ripple
 from piga.terms import PRODUCTS
 from piga.units import G0
 from tests.compensation.twin_data import K_G, TAN_BETA, calibration_of, run_of

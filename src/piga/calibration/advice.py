@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from piga.calibration.fit import stretch_angles
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
@@ -74,34 +75,29 @@ class _Reading:
         moved = sum(axis != place for place, axis in enumerate(self.axes))
         return 2 * moved + 3 * self.signs.count(-1) + (2 if self.output != 1.0 else 0)
 
-    def errors(self, run: Run) -> list[tuple[str, str]]:
+    def errors(self, run: Run) -> dict[str, str]:
         """Errors in the data if this reading is right, each with the change to the run file or the data."""
-        found = []
+        errors: dict[str, str] = {}
         swapped = [AXES[place] for place, axis in enumerate(self.axes) if axis != place]
         if swapped:
             taken = f"X0, Y0, Z0 taken from {', '.join(AXES[axis] for axis in self.axes)}"
+            words = f"{swapped[0]} and {swapped[1]} swapped" if len(swapped) == 2 else taken
             order = ", ".join(_PLACES[axis] for axis in self.axes)
-            found.append(
-                (
-                    f"{swapped[0]} and {swapped[1]} swapped" if len(swapped) == 2 else taken,
-                    f"in [data] reference list the columns in the order {order}",
-                )
-            )
+            errors[words] = f"in [data] reference list the columns in the order {order}"
         negative = " and ".join(AXES[place] for place, sign in enumerate(self.signs) if sign < 0)
-        for name in (negative, "the output" if self.output < 0.0 else ""):
-            if name:
-                of_output = "set direction = -1 in [data] output"
-                change = of_output if name == "the output" else f"change the sign of {name} in the data file"
-                found.append((f"{name} negative", change))
-        if self.output > 0.0 and self.output != 1.0:
+        if negative:
+            errors[f"{negative} negative"] = f"change the sign of {negative} in the data file"
+        if self.output < 0.0:
+            errors["the output negative"] = "set direction = -1 in [data] output"
+        elif self.output != 1.0:
             size, larger = max(self.output, 1.0 / self.output), self.output < 1.0
             words = f"the output {'multiplied' if larger else 'divided'} by {size:.6g}"
-            found.append((words, f"in {_output_unit(run, size, larger=larger)}"))
-        return found
+            errors[words] = f"in {_output_unit(run, size, larger=larger)}"
+        return errors
 
     def words(self, run: Run) -> str:
         """Errors in the data if this reading is right."""
-        return " and ".join(error for error, _ in self.errors(run)) or "the data as they are"
+        return " and ".join(self.errors(run)) or "the data as they are"
 
 
 _OF_COUNTS = (4.0, 10.0)
@@ -167,19 +163,9 @@ def _likely(scale: float) -> bool:
 
 
 def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str, ...]:
-    """Readings that fit the data far better, in words; empty if the data fit as they are.
+    """Readings that fit the data far better, in words: at most one sentence on axes, signs and the output, and one on a unit.
 
-    Parameters
-    ----------
-    run, request:
-        As for the calibration.
-    scale:
-        The scale factor of the whole record over the nominal one. If it is likely, a few windows say nothing of a unit.
-
-    Returns
-    -------
-    tuple of str
-        At most one sentence on axes, signs and the output, and one on a unit.
+    ``scale`` is the scale factor of the whole record over the nominal one. If it is likely, a few windows say nothing of a unit.
     """
     readings = [one for one in _readings(run, request) if math.isfinite(one.residual)]
     plain = next((one for one in readings if not one.changes), None)
@@ -195,7 +181,7 @@ def advise(run: Run, request: Request, scale: float | None = None) -> tuple[str,
     alike = "; ".join(other.words(run) for other in others[:_MOST_ALIKE])
     equal = f" (this record cannot tell it from: {alike})" if alike else ""
     times = f"{float(f'{plain.residual / best.residual:.1g}'):.0f}"
-    remedy = " and ".join(change for _, change in best.errors(run))
+    remedy = " and ".join(best.errors(run).values())
     words = f"the data fit {times} times better with {best.words(run)}{equal}: {remedy}; not applied"
     return (words, *_scale_words(best, readings, run))
 
@@ -283,9 +269,11 @@ def _fitted(run: Run, phase: Array, request: Request, reading: _Reading) -> _Rea
         return reading
     design.phase_angle = phase / reading.output
     blocks = list(design.blocks())
+    for block in () if design.point else blocks:  # angles have equal weight if their noise is white
+        stretch_angles(block.columns, block.h == 0.0)
     free = len(design.local_names) if request.phases != "shared" else 0
     parts = [
-        _without(np.hstack([_angles(b.columns, b.h, design.point) for b in blocks if b.segment == k]), free)
+        _without(np.hstack([block.columns for block in blocks if block.segment == k]), free)
         for k in sorted({block.segment for block in blocks})
     ]
     rows = np.hstack(parts)
@@ -293,17 +281,6 @@ def _fitted(run: Run, phase: Array, request: Request, reading: _Reading) -> _Rea
     miss = float(np.linalg.norm(rows[-1] - linear @ rows[:-1])) / math.sqrt(rows.shape[1])
     scale = float(linear[design.names.index("scale_factor") - free]) / run.scale_factor
     return replace(reading, residual=abs(reading.output) * miss, scale=scale)
-
-
-def _angles(columns: Array, h: Array, point: bool) -> Array:
-    """Increments summed up to angles, less their mean in each window: rows of equal weight if the angle has white noise."""
-    if point:
-        return columns
-    edges = [*np.flatnonzero(h == 0.0).tolist(), h.size]
-    if edges[0] != 0:
-        edges.insert(0, 0)
-    whole = np.cumsum(columns, axis=1)
-    return np.hstack([whole[:, a:b] - whole[:, a:b].mean(axis=1, keepdims=True) for a, b in pairwise(edges)])
 
 
 def _without(rows: Array, free: int) -> Array:

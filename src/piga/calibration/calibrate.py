@@ -13,6 +13,14 @@ import numpy as np
 
 from piga._version import __version__
 from piga.calibration.advice import advise, looks_wrong, with_advice
+from piga.calibration.fit import (
+    diagnose,
+    find_residuals,
+    is_rounded,
+    residual_figures,
+    segment_scatter,
+    segment_table,
+)
 from piga.calibration.joint import (
     JointFit,
     check_items,
@@ -28,6 +36,7 @@ from piga.calibration.missing_terms import (
     CUBIC,
     Candidates,
     LeftOut,
+    largest_shift,
     left_out_terms,
     suggest_terms,
     suggestions_in_words,
@@ -37,15 +46,6 @@ from piga.calibration.model.request import Request, make_request
 from piga.calibration.model_choice import compare_models
 from piga.calibration.orders import residual_angles
 from piga.calibration.positions import find_creep, find_leverage
-from piga.calibration.residuals import (
-    diagnose,
-    find_residuals,
-    is_rounded,
-    residual_figures,
-    segment_scatter,
-    segment_table,
-)
-from piga.calibration.revolutions import whole_turns
 from piga.calibration.sources import gravity_in_words
 from piga.calibration.summary import RunSummary
 from piga.calibration.uncertainty import Budget, add_up, monte_carlo_intervals, with_given_servo
@@ -136,23 +136,11 @@ def calibrate(
             result = _calibration(fit_jointly(runs, wanted, phases or phase, own, steps), steps)
         else:
             request = make_request(runs[0], wanted, method, phases or phase, phase_source, own)
-            result = _of_one_run(runs[0], request, steps)
+            result = _calibration(_fitted(runs[0], request, steps), steps)
     steps.finish()
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result
-
-
-def _of_one_run(run: Run, request: Request, steps: Steps) -> Calibration:
-    """Calibration of one run; of whole turns, if the method asks for them: from their ends."""
-    if request.method != "revolutions":
-        return _calibration(_fitted(run, request, steps), steps)
-    turns, terms, outliers = whole_turns(run, request)
-    own = make_request(turns, terms, "information", "per-segment", "output", ())
-    result = _calibration(_fitted(turns, own, steps), steps)
-    words = "whole turns average the coupling out: tan_beta is not in the result; use method 'information'"
-    notes = (words, *result.notes) if "tan_beta" in request.terms else result.notes
-    return replace(result, method="revolutions", phases=request.phases, notes=notes, outliers=outliers)
 
 
 def _fitted(run: Run, request: Request, steps: Steps) -> JointFit:
@@ -285,17 +273,14 @@ def _result(
 
 def _joint_residuals(parts: list[_Part]) -> Residuals | None:
     """Residuals of all runs with raw data, one after the other."""
-    offsets = accumulate((len(part.segments) for part in parts), initial=0)
-    held = [(i, at, part.residuals) for i, (at, part) in enumerate(zip(offsets, parts, strict=False))]
-    pieces = [
-        replace(
-            own,
-            segment=own.segment + np.int32(at),
-            run=np.full(own.t.size, index, dtype=np.int32),
-        )
-        for index, at, own in held
-        if own
-    ]
+    pieces: list[Residuals] = []
+    offset = 0
+    for index, part in enumerate(parts):
+        if part.residuals:
+            run = np.full(part.residuals.t.size, index, dtype=np.int32)
+            segment = part.residuals.segment + np.int32(offset)
+            pieces.append(replace(part.residuals, segment=segment, run=run))
+        offset += len(part.segments)
     if not pieces:
         return None
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment", "run")
@@ -381,7 +366,7 @@ def _suggested(
 ) -> tuple[tuple[float, str], ...]:
     """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
     also = "; the scatter of the segments may be the same effect" if scattered else ""
-    lacking = [(doubt.largest_shift(coefficients), doubt.words) for doubt in doubts if doubt.words]
+    lacking = [(largest_shift(coefficients, one.change)[0], one.words) for one in doubts if one.words]
     if lacking:
         missing = tuple(entry for entry in missing if not {*SERVO_TERMS, *CUBIC} & {*entry.terms})
     words = suggestions_in_words(missing)

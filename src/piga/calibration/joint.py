@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.fit import Fit, fit_run
+from piga.calibration.fit import Fit, find_residuals, fit_run, residual_figures, segment_table
 from piga.calibration.intervals import Interval, find_interval
 from piga.calibration.model.design import Design, given_servo
 from piga.calibration.model.identifiability import Examination, refuse_useless
 from piga.calibration.model.request import Request, check_per_run, make_request
 from piga.calibration.model.solution import Estimate, asked_order
-from piga.calibration.residuals import find_residuals, residual_figures, segment_table
 from piga.calibration.sources import Source, listed, sources
 from piga.calibration.summary import MergedRuns, RunSummary, SourceSummary, repetitions, source_column
 from piga.calibration.uncertainty import stated_scatter, units_of
@@ -107,14 +106,9 @@ class JointFit(MergedRuns):
         quiet = tuple(one.weighted(replace(one.noise, scatter=0.0)) for one in self.summaries)
         fit = replace(self, summaries=quiet)
         examination, estimate = fit.solved()
-        coefficients, covariance = fit.named(estimate, estimate.covariance)
-        return replace(
-            fit,
-            estimate=estimate,
-            coefficients=coefficients,
-            covariance=covariance,
-            examination=examination,
-        )
+        named, covariance = fit.named(estimate, estimate.covariance)
+        solved = replace(fit, estimate=estimate, examination=examination)
+        return replace(solved, coefficients=named, covariance=covariance)
 
 
 def merge_runs(
@@ -123,7 +117,7 @@ def merge_runs(
     per_run: tuple[str, ...] = (),
     live: Sequence[Fit | None] = (),
 ) -> JointFit:
-    """Merge summaries that contain the requested columns, and solve; raises as :meth:`MergedRuns.solved` does.
+    """Merge summaries that contain the requested columns, and solve.
 
     ``live`` are the fits of those with raw data.
     """
@@ -144,13 +138,7 @@ def merge_runs(
 
 
 def fit_alone(run: Run, request: Request, steps: Steps) -> JointFit:
-    """Fit one run from the triangles of its own fit.
-
-    Raises
-    ------
-    IdentifiabilityError, DataError
-        If the record does not determine what is asked.
-    """
+    """Fit one run from the triangles of its own fit."""
     fit = fit_run(run, request, stated_scatter(run))
     steps("finding the intervals")
     return _useful(merge_runs([fit.summary], request.terms, live=[fit]))
@@ -163,15 +151,7 @@ def fit_jointly(
     per_run: Sequence[str] | None,
     steps: Steps,
 ) -> JointFit:
-    """Reduce the runs that have raw data, merge all summaries and solve. Each run is reported to ``steps``.
-
-    Raises
-    ------
-    CalibrationError
-        If the runs are not of one instrument, or a run is given twice.
-    IdentifiabilityError
-        If the runs together cannot separate what is asked.
-    """
+    """Reduce the runs that have raw data, merge all summaries and solve. Each run is reported to ``steps``."""
     names = _names(items)
     _check_one_instrument(items, names)
     asked = [item.terms if isinstance(item, RunSummary) else item.model.terms for item in items]
@@ -194,7 +174,11 @@ def fit_jointly(
         fit, undetermined = fit_determined(item, request)
         live.append(fit)
         summaries.append(_summarised(fit, request, wanted, name, undetermined))
-    _check_temperature(union, summaries)
+    if len({one.temperature_reference for one in summaries}) > 1 and set(THERMAL_TERMS) & set(union):
+        raise CalibrationError(
+            "the runs have different reference temperatures",
+            remedy="write the same [model] temperature_reference in all run files",
+        )
     steps("solving all runs together")
     merged = merge_runs(summaries, union, free, live)
     scale_factor, stale = merged.scale_factor_of(merged.estimate), False
@@ -282,15 +266,6 @@ def _check_one_instrument(items: Sequence[Run | RunSummary], names: Sequence[str
         seen[digests] = name
 
 
-def _check_temperature(terms: tuple[str, ...], summaries: list[RunSummary]) -> None:
-    references = {summary.temperature_reference for summary in summaries}
-    if len(references) > 1 and set(THERMAL_TERMS) & set(terms):
-        raise CalibrationError(
-            "the runs have different reference temperatures",
-            remedy="write the same [model] temperature_reference in all run files",
-        )
-
-
 def fit_determined(run: Run, request: Request) -> tuple[Fit, tuple[str, ...]]:
     """The fit of a run with the terms that it can determine alone, for its weights; and the other terms."""
     undetermined: list[str] = []
@@ -332,7 +307,11 @@ def _summarised(
     rows = reduce_positions(design, fit.mode, fit.noise)
     residuals = find_residuals(fit.design, fit.values, fit.noise, fit.mode)
     return replace(
-        RunSummary.of_rows(design, fit.noise, rows, name=name, request=request, undetermined=undetermined),
+        RunSummary.of_rows(design, fit.noise, rows),
+        name=name,
+        terms=request.terms,
+        per_run=request.per_run,
+        undetermined=undetermined,
         segments=segment_table(fit.design, residuals),
         figures=residual_figures(residuals),
         outliers=fit.outliers,
@@ -367,20 +346,10 @@ def with_sources(
     units: bool = False,
     steps: Steps = SILENT,
 ) -> RunSummary:
-    """The summary of a record with a column for each source of Type B.
+    """The summary of a record with a column for each source of Type B; ``units``: also for one unit of those not stated.
 
-    Of a long record the means of neighbouring samples are moved.
-
-    Parameters
-    ----------
-    summary, design, mode:
-        The summary, its columns (those of the servo without a phase), and the mode of the weights.
-    fitted, values:
-        A model of the record, and its column coefficients (segments, m).
-    units:
-        With one unit of each source that nobody stated.
-    steps:
-        Hears of each source.
+    ``design`` has the columns of the summary, those of the servo without a phase. ``fitted`` is a model of the record, and
+    ``values`` (segments, m) are its column coefficients. Of a long record the means of neighbouring samples are moved.
     """
     run = design.means.run
     moving = [(source, True) for source in sources(run)]
@@ -526,13 +495,7 @@ def sources_of_stand(fit: JointFit, more: Sequence[StandSource] = ()) -> tuple[S
 
 
 def check_items(items: object) -> list[Run | RunSummary]:
-    """Check the runs given to a joint calibration.
-
-    Raises
-    ------
-    ArgumentError
-        If there are none, or an item is neither a run nor a summary.
-    """
+    """The runs given to a calibration, as a list; refused if there are none, or an item is neither a run nor a summary."""
     given = list(items) if isinstance(items, (list, tuple)) else [items]
     runs = [item for item in given if isinstance(item, (Run, RunSummary))]
     if not runs or len(runs) < len(given):

@@ -23,15 +23,12 @@ from piga.calibration.intervals import parameter_rows
 from piga.calibration.joint import JointFit, merge_runs
 from piga.calibration.model.design import Design, Names
 from piga.calibration.model.reduction import Reduction, solve_upper
-from piga.calibration.model.solution import STIFFNESS_COLUMNS, phaseless_columns
-from piga.calibration.sources import across_squared
-from piga.calibration.summary import RunSummary, repetitions
+from piga.calibration.model.solution import phaseless_columns
+from piga.calibration.summary import CONSTANT, RunSummary, repetitions
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.arrays import spans
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes, coverage_factor, rounded
 from piga.records.calibration.diagnostics import MissingTerm
-from piga.records.run import Run
 from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS, LOGGED_TERMS
@@ -59,10 +56,6 @@ _SPARE = 3
 """Segments beyond the number of parameters above which the scatter between segments is used."""
 _FEWEST = 4
 """Fewest degrees of freedom of this scatter."""
-_CONSTANT = 1e-3
-"""Largest relative change of a squared force that counts as constant."""
-_FORCE_SAMPLES = 4096
-"""Samples used for this."""
 _CLEAR = 0.01
 """Probability that a record without a servo gets one into its budget, Bonferroni over the tests."""
 _NEGLIGIBLE = 1e-9
@@ -121,35 +114,10 @@ def _is_shown(fit: JointFit, name: str) -> bool:
     )
 
 
-def constant_squares(run: Run) -> Squares:
-    """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
-    at = np.unique(np.linspace(0, run.size - 1, _FORCE_SAMPLES).astype(np.int64))
-    squares: list[float | None] = []
-    for square in ((run.f[at] ** 2).sum(axis=1), across_squared(run, at)):
-        low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
-        squares.append(float(middle) if high - low <= _CONSTANT * middle else None)
-    return squares[0], squares[1]
-
-
-def _stored_squares(summary: RunSummary) -> Squares:
-    """The same from the columns ``a_x``, ``a_x (u_t/K)^2`` and ``a_x^3`` of a summary; None without them."""
-    wanted = ("scale_factor", STIFFNESS_COLUMNS[0], "k3")
-    if not {*wanted} <= {*summary.positions[0].part.names}:
-        return None, None
-    rows = [position.part.select(wanted).factor[:, :3] for position in summary.positions]
-    along, across, cube = np.vstack(rows).T
-    squares: list[float | None] = []
-    for column in (across + cube, across):
-        square = float(along @ column / max(float(along @ along), 1e-300))
-        missed = float(np.linalg.norm(column - square * along))
-        squares.append(square if missed <= _CONSTANT * float(np.linalg.norm(column)) else None)
-    return squares[0], squares[1]
-
-
 def _common(values: Sequence[float | None]) -> float | None:
     """The value that all runs have; None if they differ."""
     held = [value for value in values if value is not None]
-    alike = len(held) == len(values) and max(held) - min(held) <= _CONSTANT * max(held)
+    alike = len(held) == len(values) and max(held) - min(held) <= CONSTANT * max(held)
     return sum(held) / len(held) if alike else None
 
 
@@ -193,11 +161,8 @@ class Candidates:
     def of(cls, fit: JointFit) -> Candidates:
         """The candidates of a fit without slow noise; none where the phase comes from the input."""
         estimate, layout = fit.estimate, fit.layout
-        pairs = [
-            constant_squares(live.run) if live else _stored_squares(summary)
-            for live, summary in zip(fit.live, fit.summaries, strict=True)
-        ]
-        squares = _common([total for total, _ in pairs]), _common([across for _, across in pairs])
+        total, across = (_common([summary.squares[k] for summary in fit.summaries]) for k in (0, 1))
+        squares = total, across
         terms = [] if fit.by_input else _candidate_terms(fit, squares)
         names = [name for names in terms for name in names]
         more = () if fit.by_input else ("k3", "servo_damping") if "p" in fit.local else ("k3",)
@@ -331,13 +296,14 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
     """
     left, suggestions = candidates.terms, list[MissingTerm]()
     beside: Names = ()
-    limit = _FALSE_ALARMS / max(len(left), 1)
+    limit, own = _FALSE_ALARMS / max(len(left), 1), values_of(coefficients)
     square = candidates.squares[0] if left else None
     for _ in range(_SUGGESTIONS):
         found = [test for names in left if (test := candidates.test(names, beside))]
         tests = [t for t in found if t.probability < (_THERMAL_ALARMS if t.names == ("k0_T",) else limit)]
-        moved = {t.names: candidates.moved(t) for t in tests}
-        shifts = {t.names: _largest_shift(candidates, coefficients, t, moved[t.names]) for t in tests}
+        values = values_of(candidates.fit.coefficients)
+        moved = [changes(coefficients, own, values + candidates.moved(t)) for t in tests]
+        shifts = {t.names: largest_shift(coefficients, m, t.names) for t, m in zip(tests, moved, strict=True)}
         worth = [t for t in tests if shifts[t.names][0] > 1.0 or t.fall > _NOTABLE]
         if not worth:
             break
@@ -360,23 +326,17 @@ def _terms_of(names: Names) -> Names:
     return ("tan_beta",) if names == ("p", "q") else names
 
 
-def _largest_shift(
-    candidates: Candidates, coefficients: tuple[Coefficient, ...], test: CandidateTest, moved: Array
+def largest_shift(
+    coefficients: Iterable[Coefficient], change: Array, names: Names = ("servo_damping",)
 ) -> tuple[float, str]:
-    """Largest change of a reported coefficient in its standard uncertainties, and its name.
+    """Largest change of a coefficient in its standard uncertainties, and its name.
 
-    The phase is included if the candidate affects it by nature.
+    The phase is included only for ``servo_damping``, which turns it.
     """
-    skipped = () if test.names == ("servo_damping",) else ("phi",)
-    change = changes(coefficients, values_of(coefficients), values_of(candidates.fit.coefficients) + moved)
-    return max(
-        (
-            (abs(size) / c.std, c.name)
-            for c, size in zip(coefficients, change.tolist(), strict=True)
-            if c.name not in skipped and c.std > 0.0
-        ),
-        default=(0.0, ""),
-    )
+    skipped = () if names == ("servo_damping",) else ("phi",)
+    sizes = zip(coefficients, np.abs(change).tolist(), strict=True)
+    shifts = [(size / c.std, c.name) for c, size in sizes if c.name not in skipped and c.std > 0.0]
+    return max(shifts, default=(0.0, ""))
 
 
 def values_of(coefficients: Iterable[Coefficient]) -> Array:
@@ -435,11 +395,6 @@ class LeftOut:
     words: str
     listed: StandSource | None = None
 
-    def largest_shift(self, coefficients: tuple[Coefficient, ...]) -> float:
-        """Largest change of a coefficient in its standard uncertainties."""
-        sizes = zip(np.abs(self.change).tolist(), coefficients, strict=True)
-        return max((size / c.std for size, c in sizes if c.std > 0.0), default=0.0)
-
 
 def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stands separate them.
@@ -450,16 +405,15 @@ def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]
     if fit.summaries[0].unit != GYRO or fit.by_input:
         return ()
     waived = any(s.name == "servo" and s.status == "waived" for one in fit.summaries for s in one.stand_sources)
-    scaled = "scale_factor" in held and "scale_factor" not in fit.per_run
-    lacking = (
-        _lacking(fit, candidates) if scaled and "tan_beta" in held and not _is_hidden(fit, candidates) else ()
-    )
-    if waived or not scaled or "servo" in held or (lacking and "servo" in candidates.order):
+    if "scale_factor" not in held:
+        return ()
+    coupled = "tan_beta" in held and not _is_hidden(fit, candidates)
+    lacking = _lacking(fit, candidates) if coupled else ()
+    if waived or "servo" in held or (lacking and "servo" in candidates.order):
         return lacking
-    return (
-        *lacking,
-        *(_asked_cube(coefficients, square) if square and "k3" in held else _unnamed(fit, candidates)),
-    )
+    if square and "k3" in held:
+        return (*lacking, *_asked_cube(coefficients, square))
+    return (*lacking, *_unnamed(fit, candidates))
 
 
 def _is_hidden(fit: JointFit, candidates: Candidates) -> bool:
@@ -559,26 +513,16 @@ def _bounded(shift: Array, size: float, std: float, why: str = "") -> LeftOut:
 
 
 def _softest_share(fit: JointFit) -> float:
-    """Relative change of K by the softest servo, from the records, or without any from the summaries; 0 without their columns."""
-    weighted, total = 0.0, 1e-300
-    for run in (live.run for live in fit.live if live):
-        for part in spans(run.size):
-            along = run.f[part, 0] ** 2
-            weighted, total = weighted + float(along @ across_squared(run, part)), total + float(along.sum())
-    names = ("scale_factor", STIFFNESS_COLUMNS[0])
-    for position in () if any(fit.live) else (p for summary in fit.summaries for p in summary.positions):
-        if {*names} <= {*position.part.names}:
-            force, bent = position.part.select(names).factor[:, :2].T
-            weighted, total = weighted + float(force @ bent), total + float(force @ force)
-    return _SOFTEST * si_factor("servo") * weighted / total
+    """Relative change of K by the softest servo."""
+    rows = [sum(p.part.count for p in summary.positions) for summary in fit.summaries]
+    weighted, total = np.average([summary.bending for summary in fit.summaries], axis=0, weights=rows)
+    return _SOFTEST * si_factor("servo") * float(weighted / max(total, 1e-300))
 
 
 def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
     """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
     named = {c.name: c for c in coefficients}
-    scale, k3 = named.get("scale_factor"), named.get("k3")
-    if scale is None or k3 is None:
-        return ()
+    scale, k3 = named["scale_factor"], named["k3"]
     shift = scale.value * k3.value * si_factor("k3") * square
     moved = np.array([shift if c is scale else 0.0 for c in coefficients])
     bounded = _bounded(

@@ -2,8 +2,7 @@
 
 All sets share the noise weights of the largest set that the record can determine. Their likelihoods then differ
 only by the chi-square of their residuals. The whitened rows are reduced once per segment. A set is a selection of
-columns of the triangular factors. Each part of the record is predicted exactly from the others: the prediction error
-needs only the triangular factors (own derivation, docs/theory).
+columns of the triangular factors.
 
 Prospects of terms, before a calibration, use the same reduction: every known term is added to the terms asked for.
 """
@@ -12,20 +11,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from piga.calibration.fit import Fit
-from piga.calibration.intervals import inverse_root
 from piga.calibration.joint import fit_determined
 from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import alike_in_words, refuse_useless
-from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request, check_servo, make_request
-from piga.calibration.model.solution import Estimate
 from piga.calibration.summary import MergedRuns, RunSummary
 from piga.calibration.weights import Positions, reduce_between
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
@@ -43,85 +39,7 @@ from piga.records.terms import (
     turns,
     unit_of,
 )
-from piga.results import Array, Result
 from piga.threads import one_thread
-
-_ALONE = 1e-9
-"""Smallest remainder ``1 - leverage`` with which a part can be predicted from the others."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class HeldOutPrediction(Result):
-    """Prediction of parts that were left out.
-
-    Attributes
-    ----------
-    chi_square:
-        Sum of squares of the whitened prediction errors. If there is only noise: the number of observations.
-    force_error:
-        Mean prediction error of each part as specific force, root mean square over the parts [m/s^2].
-    per_part:
-        ``chi_square`` of each part.
-    above_best, standard_error:
-        Excess of ``chi_square`` over the best set, and its standard error from the scatter of the parts.
-    """
-
-    chi_square: float
-    force_error: float
-    per_part: Array
-    above_best: float = 0.0
-    standard_error: float = 0.0
-
-    def against(self, best: HeldOutPrediction) -> HeldOutPrediction:
-        """The prediction with its excess over the best one."""
-        excess = self.per_part - best.per_part
-        error = math.sqrt(excess.size) * float(np.std(excess, ddof=1)) if excess.size > 1 else 0.0
-        return replace(self, above_best=float(excess.sum()), standard_error=error)
-
-    @property
-    def as_good_as_best(self) -> bool:
-        """True within one standard error of the best prediction; rounding errors are allowed for."""
-        return self.above_best <= self.standard_error + 1e-9 * self.chi_square
-
-    def document(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {
-            "prediction_chi_square": self.chi_square,
-            "prediction_above_best": self.above_best,
-            "prediction_standard_error": self.standard_error,
-            "prediction_force_error": self.force_error,
-        }
-
-
-def predict(parts: Sequence[Reduction], scale_factor: float) -> HeldOutPrediction | None:
-    """Predict every part from the others; exact, from one fit to all (own derivation, docs/theory).
-
-    Parameters
-    ----------
-    parts:
-        Triangles ``[columns of the set | constant force | y]`` of the parts.
-    scale_factor:
-        Converts the coefficient of the constant force to a force.
-
-    Returns
-    -------
-    Prediction or None
-        None when there are fewer than two parts, or when the set cannot be determined without one of the parts.
-    """
-    if len(parts) < 2:
-        return None
-    factors = np.array([part.factor for part in parts])
-    rows, constants = np.delete(factors, -2, axis=2), factors[:, :, -2]
-    x = rows[:, :, :-1] @ inverse_root(list(rows), rows.shape[2] - 1)
-    missed = rows[:, :, -1] - x @ np.einsum("jka,jk->a", x, rows[:, :, -1])
-    rest = np.eye(x.shape[2]) - np.einsum("jka,jkb->jab", x, x)
-    if np.linalg.eigvalsh(rest).min() < _ALONE:
-        return None
-    score = np.einsum("jka,jk->ja", x, missed)[:, :, None]
-    missed = missed + (x @ np.linalg.solve(rest, score))[:, :, 0]
-    squares = np.sum(missed**2, axis=1)
-    forces = np.sum(constants * missed, axis=1) / np.sum(constants**2, axis=1) / scale_factor
-    return HeldOutPrediction(float(squares.sum()), float(np.sqrt(np.mean(forces**2))), squares)
 
 
 @dataclass(frozen=True)
@@ -132,20 +50,14 @@ class TermSet:
     ----------
     terms:
         The terms.
-    reason:
-        Why the record cannot determine the set or cannot be predicted with it; empty if it can.
-    remedy:
-        What to do about that.
+    reason, remedy:
+        Why the record cannot determine the set, and what to do; empty if it can.
     alike:
         Coefficients that are hard to separate, one sentence each.
     parameters:
         Number of coefficients, including phases.
-    chi_square, log_likelihood, bic, aic:
+    chi_square, log_likelihood, bic:
         Of the whitened residual. Gaussian, with the weights common to all sets.
-    weight:
-        Schwarz weight: share of ``exp(-BIC/2)`` among the sets that are determined.
-    prediction:
-        Prediction of the parts of the record that were left out.
     coefficients, changes:
         Type A estimates, and their difference from the best set in standard uncertainties of the best set.
     """
@@ -158,83 +70,56 @@ class TermSet:
     chi_square: float | None = None
     log_likelihood: float | None = None
     bic: float | None = None
-    aic: float | None = None
-    weight: float | None = None
-    prediction: HeldOutPrediction | None = None
     coefficients: tuple[Coefficient, ...] = ()
     changes: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Term sets in the order asked; ``best`` and ``best_prediction`` are indices into ``sets``.
+    """Term sets in the order asked; ``best`` is the index into ``sets`` of that with the least BIC.
 
-    ``best`` has the least BIC. ``best_prediction`` has the fewest coefficients of all sets whose prediction is
-    within one standard error of the best one. ``noise_terms`` is the set used for the common noise levels.
-    ``parted_by`` says what was left out: segments, or blocks of a record of one segment.
+    ``noise_terms`` is the set used for the common noise levels.
     """
 
     sets: tuple[TermSet, ...]
     observations: int
-    parts: int
-    parted_by: str
     noise_terms: tuple[str, ...]
     angle_rms: float
     angle_random_walk: float
     best: int | None
-    best_prediction: int | None
-
-    @property
-    def ranking(self) -> tuple[int, ...]:
-        """Indices of the sets by BIC; sets without a BIC come last."""
-        order = [math.inf if row.bic is None else row.bic for row in self.sets]
-        return tuple(sorted(range(len(order)), key=lambda index: (order[index], index)))
 
     def document(self) -> dict[str, Any]:
-        """The comparison as plain data for JSON: forces [m/s^2], coefficients in the units of calibration.json."""
-        best = self.sets[self.best].bic if self.best is not None else None
+        """The comparison as plain data for JSON: coefficients in the units of calibration.json."""
+        best = None if self.best is None else self.sets[self.best]
         return {
             "treatment": "noise levels of the largest set that the record separates, the same for all sets",
             "noise_terms": list(self.noise_terms),
             "angle_rms": self.angle_rms,
             "angle_random_walk": self.angle_random_walk,
             "observations": self.observations,
-            "parts": self.parts,
-            "parted_by": self.parted_by,
-            "best": None if self.best is None else list(self.sets[self.best].terms),
-            "best_prediction": None
-            if self.best_prediction is None
-            else list(self.sets[self.best_prediction].terms),
+            "best": None if best is None else list(best.terms),
             "sets": [_set_document(row, best, self.observations) for row in self.sets],
         }
 
 
-def _set_document(row: TermSet, best: float | None, observations: int) -> dict[str, Any]:
+def _set_document(row: TermSet, best: TermSet | None, observations: int) -> dict[str, Any]:
     document: dict[str, Any] = {"terms": list(row.terms), "reason": row.reason}
-    if row.chi_square is None or row.bic is None or best is None:
+    if row.chi_square is None or row.bic is None or best is None or best.bic is None:
         return document
-    document |= {
-        "parameters": row.parameters,
-        "chi_square": row.chi_square,
-        "chi_square_per_degree": row.chi_square / (observations - row.parameters),
-        "log_likelihood": row.log_likelihood,
-        "bic": row.bic,
-        "bic_above_best": row.bic - best,
-        "aic": row.aic,
-        "weight": row.weight,
-    }
     changes = dict(row.changes)
-    document["coefficients"] = [
-        {"key": c.key, "value": c.value, "std": c.std, "unit": c.unit, "change": changes.get(c.key)}
-        for c in row.coefficients
-    ]
-    if row.prediction is not None:
-        document |= row.prediction.document()
-    return document
-
-
-_PROBE = "k0"
-"""Column that converts a prediction error to a mean specific force. It is reduced with every union."""
+    figures = {key: getattr(row, key) for key in ("parameters", "chi_square", "log_likelihood", "bic")}
+    return (
+        document
+        | figures
+        | {
+            "chi_square_per_degree": row.chi_square / (observations - row.parameters),
+            "bic_above_best": row.bic - best.bic,
+            "coefficients": [
+                {"key": c.key, "value": c.value, "std": c.std, "unit": c.unit, "change": changes.get(c.key)}
+                for c in row.coefficients
+            ],
+        }
+    )
 
 
 @one_thread()
@@ -250,10 +135,9 @@ def compare_models(
     With the common covariance V of the increments, a set with m coefficients and the residual r has
 
     .. math:: \ln L = -\tfrac12 (n \ln 2\pi + \ln|V| + r' V^{-1} r), \qquad
-              \mathrm{BIC} = m \ln n - 2 \ln L, \qquad \mathrm{AIC} = 2 m - 2 \ln L
+              \mathrm{BIC} = m \ln n - 2 \ln L
 
-    [Schwarz1978]. V is the same for all sets: that of the largest set that the record can determine. Every part of
-    the record is also predicted from the others (not with one phase per segment). A set that the record
+    [Schwarz1978]. V is the same for all sets: that of the largest set that the record can determine. A set that the record
     cannot determine stays in the table with the reason.
 
     Parameters
@@ -277,32 +161,6 @@ def compare_models(
         If ``progress`` returns False.
     """
     wanted = tuple(term_names(terms) for terms in (run.model.compare if term_sets is None else term_sets))
-    _check_sets(wanted, run.unit)
-    steps = Steps(progress, 1 + len(wanted))
-    steps("finding the noise")
-    union = union_of(wanted)
-    request = make_request(run, union, "information", phases, per_run=())
-    weighed = UnionReduction.of(run, request)
-    rows = []
-    for terms in wanted:
-        steps(f"fitting {' '.join(terms)}")
-        rows.append(weighed.compared(terms))
-    steps.finish()
-    rows, best, best_prediction = _ranked(rows)
-    return ModelComparison(
-        sets=tuple(rows),
-        observations=weighed.summary.count,
-        parts=len(weighed.summary.positions),
-        parted_by=weighed.parted_by,
-        noise_terms=weighed.fit.design.request.terms,
-        angle_rms=weighed.fit.noise.angle_rms,
-        angle_random_walk=weighed.fit.noise.angle_random_walk,
-        best=best,
-        best_prediction=best_prediction,
-    )
-
-
-def _check_sets(wanted: tuple[tuple[str, ...], ...], unit: str) -> None:
     if not wanted:
         raise ArgumentError(
             "there are no term sets to compare",
@@ -311,99 +169,28 @@ def _check_sets(wanted: tuple[tuple[str, ...], ...], unit: str) -> None:
     for index, terms in enumerate(wanted, start=1):
         if not terms:
             raise ArgumentError(f"term set {index} is empty", remedy="name its terms")
-        check_terms(terms, where=f"term set {index}", output=unit)
-
-
-def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """All terms in order of appearance; ``k1`` uses the column of ``scale_factor``."""
-    union = tuple(dict.fromkeys(term for terms in wanted for term in terms))
-    return tuple(term for term in union if not (term == "k1" and "scale_factor" in union))
-
-
-@dataclass(frozen=True)
-class UnionReduction:
-    """A record, whitened and reduced over the union of all columns: its summary has one triangle per part."""
-
-    fit: Fit
-    summary: RunSummary
-    parted_by: str
-    log_determinant: float
-
-    @classmethod
-    def of(cls, run: Run, request: Request) -> UnionReduction:
-        """Find the noise with the determined part of the union, then reduce the whole union once."""
-        (fit, _), columns = fit_determined(run, request), tuple(dict.fromkeys((*request.terms, _PROBE)))
-        design = Design(fit.run, replace(request, terms=columns), fit.design.scale_factor)
-        noise = replace(fit.noise, scatter=0.0, stated=())
-        positions = Positions.of(fit.run)
-        triangles, logarithm = reduce_between(design, fit.mode, noise, positions.edges)
-        summary = RunSummary.of_rows(design, noise, triangles, positions)
-        return cls(fit, summary, "block" if positions.continuous else "segment", logarithm)
-
-    def compared(self, terms: tuple[str, ...], *, predict: bool = True) -> TermSet:
-        """Figures of one set, or the reason why there are none; without ``predict`` no part is left out and predicted."""
-        runs = MergedRuns.of([self.summary], terms)
-        try:
-            check_servo(replace(self.fit.design.request, terms=terms))
-            _, estimate = runs.solved()
-            coefficients, alike = self._named(runs, estimate)
-        except (CalibrationError, IdentifiabilityError) as error:
-            return TermSet(terms, error.message, error.remedy)
-        n, m = self.summary.count, estimate.parameters
-        likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
-        own_phases = len(self.summary.labels) > 1 and runs.layout.local > 0
-        return TermSet(
-            terms,
-            alike=alike,
-            parameters=m,
-            chi_square=estimate.cost,
-            log_likelihood=likelihood,
-            bic=m * math.log(n) - 2.0 * likelihood,
-            aic=2.0 * m - 2.0 * likelihood,
-            prediction=self._predicted(runs, estimate) if predict and not own_phases else None,
-            coefficients=coefficients,
-        )
-
-    def _predicted(self, runs: MergedRuns, estimate: Estimate) -> HeldOutPrediction | None:
-        parts = [repetition.part for repetition in runs.repetitions(estimate, (_PROBE,))]
-        return predict(parts, self.summary.inner_scale_factor)
-
-    def _named(self, runs: MergedRuns, estimate: Estimate) -> tuple[tuple[Coefficient, ...], tuple[str, ...]]:
-        """The coefficients, and those of them that are hard to separate."""
-        run = self.fit.design.run
-        named, covariance = runs.named(estimate, estimate.covariance)
-        spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
-        refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
-        return named, tuple(alike_in_words(named, covariance))
-
-
-def _least(values: Iterable[float | None]) -> int | None:
-    """Index of the least value; None if there is none."""
-    known = [(value, index) for index, value in enumerate(values) if value is not None]
-    return min(known)[1] if known else None
-
-
-def _ranked(rows: list[TermSet]) -> tuple[list[TermSet], int | None, int | None]:
-    """The sets beside the best one: Schwarz weights, excess of the prediction, changes of coefficients; with both best indices."""
-    best = _least(row.bic for row in rows)
-    if best is None:
-        return rows, None, None
-    known = {index: row.bic for index, row in enumerate(rows) if row.bic is not None}
-    shares = {index: math.exp(-0.5 * (bic - known[best])) for index, bic in known.items()}
-    total = math.fsum(shares.values())
-    foremost = _least(row.prediction.chi_square if row.prediction else None for row in rows)
-    prediction = None if foremost is None else rows[foremost].prediction
-    ranked = [
-        replace(
-            row,
-            weight=shares[index] / total if index in shares else None,
-            prediction=row.prediction.against(prediction) if row.prediction and prediction else None,
-            changes=_changes(row.coefficients, rows[best].coefficients),
-        )
-        for index, row in enumerate(rows)
-    ]
-    near = (row.parameters if row.prediction and row.prediction.as_good_as_best else None for row in ranked)
-    return ranked, best, _least(near)
+        check_terms(terms, where=f"term set {index}", output=run.unit)
+    steps = Steps(progress, 1 + len(wanted))
+    steps("finding the noise")
+    weighed = _UnionReduction.of(run, make_request(run, union_of(wanted), "information", phases, per_run=()))
+    rows = []
+    for terms in wanted:
+        steps(f"fitting {' '.join(terms)}")
+        rows.append(weighed.compared(terms))
+    steps.finish()
+    known = [(row.bic, index) for index, row in enumerate(rows) if row.bic is not None]
+    best = min(known)[1] if known else None
+    if best is not None:
+        foremost = rows[best].coefficients
+        rows = [replace(row, changes=_changes(row.coefficients, foremost)) for row in rows]
+    return ModelComparison(
+        sets=tuple(rows),
+        observations=weighed.summary.count,
+        noise_terms=weighed.fit.request.terms,
+        angle_rms=weighed.fit.noise.angle_rms,
+        angle_random_walk=weighed.fit.noise.angle_random_walk,
+        best=best,
+    )
 
 
 def _changes(
@@ -418,6 +205,53 @@ def _changes(
         )
         for c, known in pairs
     )
+
+
+def union_of(wanted: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """All terms in order of appearance; ``k1`` uses the column of ``scale_factor``."""
+    union = tuple(dict.fromkeys(term for terms in wanted for term in terms))
+    return tuple(term for term in union if not (term == "k1" and "scale_factor" in union))
+
+
+@dataclass(frozen=True)
+class _UnionReduction:
+    """A record, whitened and reduced over the union of all columns."""
+
+    fit: Fit
+    summary: RunSummary
+    log_determinant: float
+
+    @classmethod
+    def of(cls, run: Run, request: Request) -> _UnionReduction:
+        """Find the noise with the determined part of the union, then reduce the whole union once."""
+        fit, _ = fit_determined(run, request)
+        design = Design(fit.run, request, fit.design.scale_factor)
+        noise = replace(fit.noise, scatter=0.0, stated=())
+        triangles, logarithm = reduce_between(design, fit.mode, noise, Positions.of(fit.run).edges)
+        return cls(fit, RunSummary.of_rows(design, noise, triangles), logarithm)
+
+    def compared(self, terms: tuple[str, ...]) -> TermSet:
+        """Figures of one set, or the reason why there are none."""
+        runs, run = MergedRuns.of([self.summary], terms), self.fit.run
+        try:
+            check_servo(replace(self.fit.request, terms=terms))
+            _, estimate = runs.solved()
+            named, covariance = runs.named(estimate, estimate.covariance)
+            spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))
+            refuse_useless(named, largest_size(run.f), float(np.ptp(run.t)), spread)
+        except (CalibrationError, IdentifiabilityError) as error:
+            return TermSet(terms, error.message, error.remedy)
+        n, m = self.summary.count, estimate.parameters
+        likelihood = -0.5 * (n * math.log(2.0 * math.pi) + self.log_determinant + estimate.cost)
+        return TermSet(
+            terms,
+            alike=tuple(alike_in_words(named, covariance)),
+            parameters=m,
+            chi_square=estimate.cost,
+            log_likelihood=likelihood,
+            bic=m * math.log(n) - 2.0 * likelihood,
+            coefficients=named,
+        )
 
 
 @dataclass(frozen=True)
@@ -464,16 +298,8 @@ class TermProspect:
 
     def document(self) -> dict[str, Any]:
         """The prospect as plain data for JSON."""
-        return {
-            "term": self.term,
-            "asked": self.asked,
-            "determined": self.determined,
-            "std": self.std,
-            "unit": self.unit,
-            "words": self.words(),
-            "remedy": self.remedy,
-            "doubt": self.doubt,
-        }
+        fields = {name: value for name, value in vars(self).items() if name != "reason"}
+        return fields | {"determined": self.determined, "words": self.words()}
 
 
 @one_thread()
@@ -501,36 +327,24 @@ def term_prospects(run: Run, terms: str | Sequence[str] | None = None) -> tuple[
     """
     asked = run.model.terms if terms is None else term_names(terms)
     check_terms(asked, output=run.unit)
-    others = tuple(term for term in _known(run, asked) if term not in asked)
+    # k1 and scale_factor exclude each other
+    taken = {"phi", "k1", *asked} | ({"scale_factor"} if "k1" in asked else set())
+    unseen = {name for name in UNITS if (run.direct and turns(name)) or not run.shows(name)}
+    others = tuple(name for name in UNITS if name not in taken | unseen)
     own_phases = len(set(run.phase_group)) > 1 or run.model.phases == "per-segment"
     phase = "per-segment" if own_phases else "shared"
     wish = union_of((asked, *((*asked, term) for term in others)))
-    weighed = UnionReduction.of(run, make_request(run, wish, "information", phase, "output", ()))
+    weighed = _UnionReduction.of(run, make_request(run, wish, "information", phase, "output", ()))
     base, rows = _base(weighed, asked)
     for term in others:
-        names = (*base, *_needed(term, base), term)
-        rows.append(_prospect(term, weighed.compared(names, predict=False), asked=False))
+        coupled = ("tan_beta",) if term in SERVO_TERMS and "tan_beta" not in base else ()
+        rows.append(_prospect(term, weighed.compared((*base, *coupled, term)), asked=False))
     return tuple(rows)
 
 
-def _known(run: Run, asked: tuple[str, ...]) -> tuple[str, ...]:
-    """All terms that may be added to the terms asked for; ``k1`` and ``scale_factor`` exclude each other."""
-    names = [name for name in UNITS if name != "phi" and not (run.direct and turns(name))]
-    if {"scale_factor", "k1"} & set(asked):
-        names = [name for name in names if name not in ("scale_factor", "k1")]
-    else:
-        names.remove("k1")
-    return tuple(name for name in names if run.shows(name))
-
-
-def _needed(term: str, base: tuple[str, ...]) -> tuple[str, ...]:
-    """Terms that a term requires and that are missing."""
-    return ("tan_beta",) if term in SERVO_TERMS and "tan_beta" not in base else ()
-
-
-def _base(weighed: UnionReduction, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
+def _base(weighed: _UnionReduction, asked: tuple[str, ...]) -> tuple[tuple[str, ...], list[TermProspect]]:
     """The asked terms that the record determines together, and the prospect of each asked term."""
-    whole = weighed.compared(asked, predict=False)
+    whole = weighed.compared(asked)
     if not whole.reason:
         return asked, [_prospect(term, whole, asked=True) for term in asked]
     base: tuple[str, ...] = ()
@@ -539,7 +353,7 @@ def _base(weighed: UnionReduction, asked: tuple[str, ...]) -> tuple[tuple[str, .
         if harmonic(term) and term[0] == "c":
             continue  # is added with its partner
         pair = (term, f"c{term[1:]}") if harmonic(term) else (term,)
-        tried = weighed.compared((*base, *pair), predict=False)
+        tried = weighed.compared((*base, *pair))
         base = base if tried.reason else (*base, *pair)
         rows |= {name: _prospect(name, tried, asked=True) for name in pair}
     return base, [rows[term] for term in asked]

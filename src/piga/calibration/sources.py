@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
-from piga.records.arrays import empty, norms, scaled, spans
+from piga.records.arrays import norms, scaled, stored
 from piga.records.calibration.coefficient import StandSource
 from piga.records.run import Run
 from piga.records.run_file import (
@@ -98,8 +98,7 @@ def _assumed_sizes(run: Run) -> dict[str, str]:
 
 def _gravity_alone(run: Run) -> bool:
     """True if the largest specific force is 1 g: gravity is the reference."""
-    largest = max(float(norms(run.f[part]).max()) for part in spans(run.size))
-    return abs(largest / G0 - 1.0) < _GRAVITY_REFERENCE
+    return abs(float(norms(run.f).max()) / G0 - 1.0) < _GRAVITY_REFERENCE
 
 
 def _unknown_height(run: Run) -> bool:
@@ -124,7 +123,8 @@ def _assumed(run: Run, size: float) -> Iterator[Source]:
             fields = {"base_rate": rate}
             yield Source(run, f"earth_rate {name}", shown, "rad/s", "rectangular", fields=fields)
     if "height" in sizes:
-        yield Source(run, "height", HEIGHT, "m", force=_scale(run, -size * _GRADIENT * HEIGHT))
+        lower = -size * _GRADIENT * HEIGHT
+        yield Source(run, "height", HEIGHT, "m", force=partial(_times, lower, partial(_itself, run)))
 
 
 Force = Callable[[slice], Array]
@@ -157,9 +157,7 @@ class Source:
         """The record moved by the source, in all segments; made anew at each call, because it is as large as the record."""
         run, fields = self.run, dict(self.fields)
         if self.force is not None:
-            fields["f"] = empty((3, run.size)).T
-            for part in spans(run.size):
-                fields["f"][part] = run.f[part] + self.force(part)
+            fields["f"] = stored(run.f + self.force(slice(None)))
         if self.stretch:
             fields["t"] = scaled(run.t, 1.0 + self.stretch)
         if self.warmth and run.temperature is not None:
@@ -188,18 +186,20 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         value, shape = size * standard, (distribution, degrees, drawn_for(name))
         whole = partial(Source, run, name, from_si(standard, like), like, *shape)
         if name in ("reference_scale", "reference_repeatability", "gravity"):
-            yield whole(force=_scale(run, value / G0 if name == "gravity" else value))
+            scale = value / G0 if name == "gravity" else value
+            yield whole(force=partial(_times, scale, partial(_itself, run)))
         elif name == "timing":
             yield whole(stretch=value)
         elif name == "temperature":
             if run.temperature is not None:
                 yield whole(warmth=value)
         elif name == "vibration":
-            yield whole(force=_bias(run, value, 0))
+            yield whole(force=partial(_times, value, partial(_along, run, 0)))
         else:
-            move = _bias if name == "reference_bias" else _turn
+            move = _along if name == "reference_bias" else _about
             for axis, label in enumerate(("X0", "Y0", "Z0")):
-                yield replace(whole(force=move(run, value, axis)), name=f"{name} {label}")
+                force = partial(_times, value, partial(move, run, axis))
+                yield replace(whole(force=force), name=f"{name} {label}")
     yield from _assumed(run, size)
     for parameter in run.servo:
         if parameter.standard > 0.0:
@@ -220,37 +220,24 @@ def _times(size: float, change: Force, part: slice) -> Array:
     return size * change(part)
 
 
-def _scale(run: Run, value: float) -> Force:
-    """Specific force times ``1 + value``."""
-    return lambda part: value * run.f[part]
+def _itself(run: Run, part: slice) -> Array:
+    """The specific force: times a size, the change by a scale."""
+    return np.asarray(run.f[part])
 
 
-def _bias(run: Run, value: float, axis: int) -> Force:
-    """Specific force with ``value`` added along one axis."""
-
-    def change(part: slice) -> Array:
-        moved = np.zeros_like(run.f[part])
-        moved[:, axis] = value
-        return moved
-
-    return change
+def _along(run: Run, axis: int, part: slice) -> Array:
+    """A unit along one axis."""
+    return np.broadcast_to(np.eye(3)[axis], run.f[part].shape)
 
 
-def _turn(run: Run, angle: float, axis: int) -> Force:
-    """Specific force as seen when the reference is turned by ``angle`` about one axis (first order)."""
-    second, third = (axis + 1) % 3, (axis + 2) % 3
-
-    def change(part: slice) -> Array:
-        moved = np.zeros_like(run.f[part])
-        moved[:, second], moved[:, third] = -angle * run.f[part, third], angle * run.f[part, second]
-        return moved
-
-    return change
+def _about(run: Run, axis: int, part: slice) -> Array:
+    """Change of the specific force by a turn of the reference about one axis (first order)."""
+    return np.cross(np.eye(3)[axis], run.f[part])
 
 
 def listed(run: Run) -> tuple[StandSource, ...]:
     """The sources that exist on the stand of a record, each with its status; without their effects."""
-    waived, assumed = run.uncertainty.waived, _assumed_sizes(run)
+    waived, units = run.uncertainty.waived, catalogue(run)
     result = [
         StandSource(
             name,
@@ -258,13 +245,11 @@ def listed(run: Run) -> tuple[StandSource, ...]:
             unit,
             reason=waived.get(name, ""),
         )
-        for name, unit in catalogue(run).items()
+        for name, unit in units.items()
     ]
-    known = {source.name for source in result}
-    result += [
-        StandSource(name, "waived", reason=reason) for name, reason in waived.items() if name not in known
-    ]
-    return (*result, *(StandSource(name, "assumed", reason=words) for name, words in assumed.items()))
+    result += [StandSource(name, "waived", reason=why) for name, why in waived.items() if name not in units]
+    result += [StandSource(name, "assumed", reason=words) for name, words in _assumed_sizes(run).items()]
+    return tuple(result)
 
 
 def with_units(run: Run) -> Run:
@@ -272,7 +257,11 @@ def with_units(run: Run) -> Run:
 
     Those of a stand that does not describe the record are left out: their effects are not known.
     """
-    units = {source.name: _one(source.unit) for source in listed(run) if source.status == "unstated"}
+    units = {
+        source.name: source.unit if source.unit[0].isdigit() else f"1 {source.unit}"
+        for source in listed(run)
+        if source.status == "unstated"
+    }
     waived = dict.fromkeys(ASSUMED_SOURCES, "not of interest here")
     moved = replace(run, uncertainty=UncertaintyTable(**units, waived=waived))
     try:
@@ -281,43 +270,6 @@ def with_units(run: Run) -> Run:
         general = {name: unit for name, unit in units.items() if name in UNCERTAINTY_UNITS}
         moved = replace(run, uncertainty=UncertaintyTable(**general, waived=waived))
     return moved
-
-
-def _one(unit: str) -> str:
-    return unit if unit[0].isdigit() else f"1 {unit}"
-
-
-def with_effects(
-    sources: tuple[StandSource, ...], effects: Mapping[str, Array], keys: Sequence[str]
-) -> tuple[StandSource, ...]:
-    """The sources with the change of each coefficient (n,; file units) by one unit of each component.
-
-    ``keys`` are the coefficients.
-    """
-    return tuple(
-        replace(
-            source,
-            effects={
-                component: {key: float(change) for key, change in zip(keys, changes, strict=True) if change}
-                for component, changes in effects.items()
-                if component.startswith(source.name)
-            },
-        )
-        if source.status == "unstated"
-        else source
-        for source in sources
-    )
-
-
-def merged_sources(lists: Iterable[tuple[StandSource, ...]]) -> tuple[StandSource, ...]:
-    """The sources of several runs by name. A source has the worst status that a run gives it."""
-    worst = ("waived", "stated", "bounded", "assumed", "unstated")
-    merged: dict[str, StandSource] = {}
-    for source in (one for sources in lists for one in sources):
-        first = merged.get(source.name, source)
-        chosen = max(first, source, key=lambda one: worst.index(one.status))
-        merged[source.name] = replace(chosen, effects=first.effects | source.effects)
-    return tuple(merged.values())
 
 
 def gravity_in_words(run: Run) -> str:
@@ -331,7 +283,7 @@ def gravity_in_words(run: Run) -> str:
         where = f"{height:.0f} m" if "height" in stand else "sea level (the height is not stated)"
         return f"{site.local_gravity:.8g} m/s^2, normal gravity at latitude {stand['latitude']} and {where}"
     if not run.computed_reference and _gravity_alone(run):
-        mean = sum(float(norms(run.f[part]).sum()) for part in spans(run.size)) / run.size
+        mean = float(norms(run.f).mean())
         if abs(mean / G0 - 1.0) < _GRAVITY_REFERENCE:
             return f"{mean:.8g} m/s^2, mean size of the logged reference"
     return ""

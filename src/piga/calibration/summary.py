@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,7 +20,7 @@ from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import Design, Names, given_servo
 from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.request import Request, harmonics_of, make_request, shared_of
+from piga.calibration.model.request import harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import (
     PHASELESS,
     Estimate,
@@ -34,9 +33,11 @@ from piga.calibration.model.solution import (
     solve_parts,
 )
 from piga.calibration.servo import refuse_if_servo_alike
+from piga.calibration.sources import across_squared
 from piga.calibration.weights import RATE, Noise, Positions
 from piga.errors import CalibrationError
 from piga.output import check_results
+from piga.records.arrays import spans
 from piga.records.calibration.coefficient import Coefficient, Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, SegmentSummary
 from piga.records.run import Run
@@ -53,6 +54,10 @@ _SAME_SERVO = 0.02
 """Largest relative difference of a servo coefficient between runs that is accepted; different rates cause it."""
 _STEADY = 1e-3
 """Relative change of the force below which a run of one segment holds one position."""
+CONSTANT = 1e-3
+"""Largest relative change of a squared force that counts as constant."""
+_FORCE_SAMPLES = 4096
+"""Samples used for this."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,10 @@ class RunSummary(Result):
         times. Columns of the servo have no phase.
     ranges:
         Range in which a calibration with this run is valid (SI).
+    squares:
+        ``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4]; None for one that changes.
+    bending:
+        Means over the record of ``a_x^2 (u_t/K)^2`` and of ``a_x^2``: by a servo, K changes as their ratio.
     turning:
         True if the regressors depend on K (a base rotation is recorded).
     stand, reference_id:
@@ -130,6 +139,8 @@ class RunSummary(Result):
     labels: tuple[str | None, ...]
     positions: tuple[Repetition, ...]
     ranges: dict[str, tuple[Number, Number]]
+    squares: tuple[Level | None, Level | None]
+    bending: tuple[Level, Level]
     temperature_reference: Level
     time_reference: Number
     turning: bool
@@ -174,24 +185,14 @@ class RunSummary(Result):
         return summary
 
     @classmethod
-    def of_rows(
-        cls,
-        design: Design,
-        noise: Noise,
-        rows: Sequence[Reduction],
-        positions: Positions | None = None,
-        *,
-        name: str = "",
-        request: Request | None = None,
-        undetermined: tuple[str, ...] = (),
-    ) -> RunSummary:
-        """Triangles of the positions of a run, with what is needed to solve them: no sources, no residuals.
+    def of_rows(cls, design: Design, noise: Noise, rows: Sequence[Reduction]) -> RunSummary:
+        """Triangles of the positions of a run, with what is needed to solve them: no name, no sources, no residuals.
 
-        ``design`` has no phases of the servo. ``request``: that of the run, if the design has more columns.
+        ``design`` has no phases of the servo.
         """
-        run, request = design.run, request or design.request
-        return RunSummary(
-            name=name,
+        run, request = design.run, design.request
+        return cls(
+            name="",
             serial=run.serial,
             kind=run.kind,
             unit=run.unit,
@@ -202,14 +203,16 @@ class RunSummary(Result):
             inner_scale_factor=design.scale_factor,
             noise=noise,
             labels=run.labels if design.per_segment else (None,),
-            positions=repetitions(design, noise, rows, positions),
+            positions=repetitions(design, noise, rows),
             ranges=_ranges(run),
+            squares=_constant_squares(run),
+            bending=_bending(run),
             temperature_reference=request.temperature_reference,
             time_reference=design.time_reference,
             turning=run.base_rate is not None,
             stand=None if run.stand is None else str(run.stand.get("kind")),
             reference_id=run.uncertainty.reference_id,
-            undetermined=undetermined,
+            undetermined=(),
             known_servo=tuple(given_servo(run).items()),
             quality=run.quality,
             segments=(),
@@ -246,7 +249,7 @@ class RunSummary(Result):
                     remedy="name a run file (.toml), or a summary that --summary wrote",
                 )
             document["phases"] = document.pop("phase", None)
-            summary = converted(document, RunSummary, _array)
+            summary = converted(document, RunSummary, lambda _, numbers: np.array(numbers, dtype=np.float64))
         except (JsonError, msgspec.ValidationError) as error:
             raise CalibrationError(
                 f"{path}: not a valid run summary: {error}", remedy="summarise the run again"
@@ -296,15 +299,6 @@ class RunSummary(Result):
         return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
 
 
-def _array(_kind: type, value: Any) -> Array:
-    """An array from nested lists of numbers; an empty one from anything else."""
-    try:
-        numbers = np.array(value)
-    except ValueError:
-        return np.zeros(0)
-    return numbers.astype(np.float64) if numbers.dtype.kind in "fi" else np.zeros(0)
-
-
 def repetitions(
     design: Design, noise: Noise, parts: Sequence[Reduction], positions: Positions | None = None
 ) -> tuple[Repetition, ...]:
@@ -334,13 +328,7 @@ def _ranges(run: Run) -> dict[str, tuple[float, float]]:
 
 
 def _given_servo(summaries: Sequence[RunSummary]) -> dict[str, float]:
-    """K times the servo coefficients that the runs give.
-
-    Raises
-    ------
-    CalibrationError
-        If they give different ones.
-    """
+    """K times the servo coefficients that the runs give; refused if they give different ones."""
     given = [{name: s.inner_scale_factor * size for name, size in s.known_servo} for s in summaries]
     for summary, own in zip(summaries, given, strict=True):
         alike = own.keys() == given[0].keys() and all(
@@ -352,6 +340,25 @@ def _given_servo(summaries: Sequence[RunSummary]) -> dict[str, float]:
                 remedy="write the same [instrument] servo in all run files of an instrument, or in none",
             )
     return given[0]
+
+
+def _constant_squares(run: Run) -> tuple[float | None, float | None]:
+    """``a_x^2 + a_t^2`` and ``(u_t/K)^2`` [m^2/s^4] of a record; None for one that changes."""
+    at = np.unique(np.linspace(0, run.size - 1, _FORCE_SAMPLES).astype(np.int64))
+    squares: list[float | None] = []
+    for square in ((run.f[at] ** 2).sum(axis=1), across_squared(run, at)):
+        low, middle, high = np.quantile(square, (0.005, 0.5, 0.995))
+        squares.append(float(middle) if high - low <= CONSTANT * middle else None)
+    return squares[0], squares[1]
+
+
+def _bending(run: Run) -> tuple[float, float]:
+    """Means of ``a_x^2 (u_t/K)^2`` and of ``a_x^2``."""
+    sums = np.zeros(2)
+    for part in spans(run.size):
+        along = run.f[part, 0] ** 2
+        sums += along @ across_squared(run, part), along.sum()
+    return float(sums[0]) / run.size, float(sums[1]) / run.size
 
 
 @dataclass(frozen=True)
@@ -423,13 +430,7 @@ class MergedRuns:
     def positions(
         self, index: int, estimate: Estimate | None = None, beside: Names = (RATE,)
     ) -> list[Repetition]:
-        """The positions of one run, with the columns of the fit and those ``beside`` them, of servo terms at the phase.
-
-        Raises
-        ------
-        CalibrationError
-            If the summary lacks a column.
-        """
+        """The positions of one run, with the columns of the fit and those ``beside`` them, of servo terms at the phase."""
         summary, first, moved = self.summaries[index], self.first_group(index), self._moved_servo(index)
         held, wanted = summary.positions[0].part.names, (*self.wanted(index), *beside)
         plain = tuple(name for name in wanted if name not in SERVO_TERMS)
@@ -471,15 +472,7 @@ class MergedRuns:
         return merged_groups(alone, tuple(position.group for position in held))
 
     def solved(self) -> tuple[Examination, Estimate]:
-        """Examination and estimate.
-
-        Raises
-        ------
-        CalibrationError
-            If a column of a summary is missing.
-        IdentifiabilityError
-            If the runs together cannot separate what is asked.
-        """
+        """Examination and estimate; an error if the runs cannot separate what is asked."""
         parts, runs = self.parts(), len(self.summaries)
         if self.layout.coupled and self.layout.servo_columns:
             several = all(len(summary.labels) > 1 for summary in self.summaries)

@@ -38,7 +38,7 @@ def calibrate(
     ],
     out: Annotated[Path | None, option("DIR", "Folder for the results [default: RUN-calibration].")] = None,
     terms: Annotated[str | None, option("A,B,...", "Terms to estimate, instead of the run file's.")] = None,
-    method: Annotated[str | None, option("NAME", "Estimator: information | rate | revolutions.")] = None,
+    method: Annotated[str | None, option("NAME", "Estimator: information | rate.")] = None,
     phases: Annotated[
         str | None, option("NAME", "Phases of the output zero: shared | per-segment.", "--phases", "--phase")
     ] = None,

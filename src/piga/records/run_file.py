@@ -118,7 +118,7 @@ HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
-Method = Literal["information", "rate", "revolutions"]
+Method = Literal["information", "rate"]
 
 PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)
 

@@ -151,7 +151,7 @@ def _kept(run: Run) -> bool:
 
 def _calibration(run: Run) -> tuple[str, bool]:
     """A calibration with this run file in words; False if one phase is asked for and the record has lost it."""
-    possible = lost_phase(run, run.model.terms, run.model.phases, run.estimation.method) is None
+    possible = lost_phase(run, run.model.terms, run.model.phases) is None
     phases = "" if run.direct else f", phases {run.model.phases}"
     lost = "" if possible else " (not possible: the phase was lost)"
     return f"{len(run.model.terms)} terms{phases}{lost}", possible

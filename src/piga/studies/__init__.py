@@ -11,6 +11,7 @@ from piga.studies.constant import published_closed_form
 from piga.studies.platform import Capstone, capstone, capstone_figure
 from piga.studies.recursion import published_recursion
 from piga.studies.reproduction import CHAPTERS, Reproduction, reproduce
+from piga.studies.revolutions import whole_turns
 
 __all__ = [
     "CHAPTERS",
@@ -23,4 +24,5 @@ __all__ = [
     "published_closed_form",
     "published_recursion",
     "reproduce",
+    "whole_turns",
 ]

@@ -157,7 +157,7 @@ def test_duplicate_keys(document: dict, tmp_path: Path, before: str, after: str)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", ["information", "rate", "revolutions"])
+@pytest.mark.parametrize("method", ["information", "rate"])
 def test_every_method_writes_what_can_be_read(tmp_path: Path, method: str) -> None:
     """The consistency that the reader asks for is what each method gives."""
     run = record(np.random.default_rng(2), seconds=40.0, rate=4.0, count=6)

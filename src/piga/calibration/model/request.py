@@ -20,6 +20,12 @@ from piga.results import Array
 from piga.terms import LOGGED_TERMS
 from piga.units import to_si
 
+_STUDIES = {
+    "published": "piga.studies.published_recursion(run), which repeats the literature",
+    "revolutions": "piga.studies.whole_turns(run), and calibrate its turns",
+}
+"""Former methods, and what does the same."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -84,10 +90,10 @@ def make_request(
         temperature_reference=to_si(model.temperature_reference, "K"),
         per_run=estimation.per_run if per_run is None else tuple(per_run),
     )
-    if request.method == "published":
+    if request.method in _STUDIES:
         raise ArgumentError(
-            "method 'published' is not among those of calibrate",
-            remedy="use piga.studies.published_recursion(run), which repeats the literature, or method 'information'",
+            f"method '{request.method}' is not among those of calibrate",
+            remedy=f"use {_STUDIES[request.method]}, or method 'information'",
         )
     for name, value, allowed in (
         ("phases", request.phases, PHASES),
@@ -140,7 +146,6 @@ def _check_record(run: Run, request: Request) -> None:
         for key, asked, only in (
             ("phases", request.phases, "shared"),
             ("phase_source", request.phase_source, "output"),
-            ("method", "revolutions" if request.method == "revolutions" else "", ""),
         ):
             if asked != only:
                 raise CalibrationError(
@@ -148,7 +153,7 @@ def _check_record(run: Run, request: Request) -> None:
                     remedy="leave it out",
                 )
     check_servo(request)
-    at = lost_phase(run, request.terms, request.phases, request.method)
+    at = lost_phase(run, request.terms, request.phases)
     if at is not None:
         why = "the counter may have rolled over unseen before it"
         if run.kind == "rate":
@@ -171,9 +176,9 @@ def with_phase(terms: Sequence[str]) -> bool:
     return "tan_beta" in terms or any(map(harmonic, terms))
 
 
-def lost_phase(run: Run, terms: tuple[str, ...], phases: str, method: str) -> int | None:
+def lost_phase(run: Run, terms: tuple[str, ...], phases: str) -> int | None:
     """First segment for which one phase of the whole record is asked and lost; None if there is none."""
-    if phases != "shared" or not with_phase(terms) or method == "revolutions":
+    if phases != "shared" or not with_phase(terms):
         return None
     first = run.segment_edges()[1:-1]
     moved = (run.t[first] - run.t[first - 1] > 1.5 * run.median_step) & (run.kind == "rate")
@@ -182,12 +187,12 @@ def lost_phase(run: Run, terms: tuple[str, ...], phases: str, method: str) -> in
 
 
 def check_servo(request: Request) -> None:
-    """Check the servo terms: they need the phase of the coupling and a method that can estimate them.
+    """Check the servo terms: they need the phase of the coupling.
 
     Raises
     ------
     CalibrationError
-        If a servo term is requested without tan_beta, or with another method.
+        If a servo term is requested without tan_beta.
     """
     asked = [name for name in SERVO_TERMS if name in request.terms]
     if not asked:
@@ -196,11 +201,6 @@ def check_servo(request: Request) -> None:
         raise CalibrationError(
             f"term '{asked[0]}' depends on the output angle and needs the phase of 'tan_beta'",
             remedy="add 'tan_beta' to the terms",
-        )
-    if request.method == "revolutions":
-        raise CalibrationError(
-            f"method '{request.method}' cannot estimate the term '{asked[0]}'",
-            remedy="use method 'information' or 'rate', or leave the term out",
         )
 
 

@@ -53,7 +53,7 @@ def _document_type() -> tuple[dict[str, At], Any]:
     kinds |= {
         "phases": Phases,
         "phase_source": PhaseSource,
-        "method": Method | Literal["published", "recursive"],
+        "method": Method | Literal["published", "recursive", "revolutions"],
     }
     places, sections = {}, defaultdict[str, list[Any]](list)
     for field in fields(Calibration):

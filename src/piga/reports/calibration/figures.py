@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.fit import lagged_products
 from piga.calibration.orders import (
     OrderSpectrum,
     order_spectrum,
@@ -17,7 +18,6 @@ from piga.calibration.orders import (
     ripple,
     segment_slices,
 )
-from piga.calibration.residuals import lagged_products
 from piga.noise.deviations import allan_deviation
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.diagnostics import COUNTED, Residuals

@@ -26,7 +26,7 @@ from piga.reports.render.numbers import (
     signed,
 )
 from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone, named_values
-from piga.units import ARCSEC, G0, MICRO_G
+from piga.units import ARCSEC, G0
 
 _SEGMENTS, _OUTLIERS, _LEVERAGE, _COEFFICIENTS = 60, 30, 24, 14
 """Most segments, outliers and segments by their leverage that have a row; most coefficients with columns in a table."""
@@ -500,9 +500,8 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
     if not document:
         return ()
     lead = (
-        "Which terms the record asks for. Sets are compared with the same noise weights; every part of the record is "
-        "also predicted from the others. A term that the record needs lowers BIC and prediction error by much; one "
-        "that it does not need raises both a little."
+        "Which terms the record asks for. Sets are compared with the same noise weights. A term that the record needs "
+        "lowers BIC by much; one that it does not need raises it a little."
     )
     shown = (Text(_comparison_words(document)), _comparison_table(document), _shift_table(document))
     return (Section("Model choice", "model-choice", (lead, *shown)),)
@@ -512,14 +511,7 @@ def _comparison_words(document: dict[str, Any]) -> str:
     """Result of the comparison, in words."""
     if document["best"] is None:
         return "The record determines none of the sets."
-    words = f"Least BIC: {', '.join(document['best'])}."
-    if document["best_prediction"] is None:
-        return words + " Parts of the record cannot be predicted from the others."
-    return (
-        f"{words} Fewest coefficients within one standard error of the best prediction "
-        f"(of each of {count(document['parts'])} {document['parted_by']}s from the others): "
-        f"{', '.join(document['best_prediction'])}."
-    )
+    return f"Least BIC: {', '.join(document['best'])}."
 
 
 def _comparison_table(document: dict[str, Any]) -> Table:
@@ -528,15 +520,8 @@ def _comparison_table(document: dict[str, Any]) -> Table:
         enumerate(document["sets"], start=1), key=lambda item: (item[1].get("bic", math.inf), item[0])
     )
 
-    def number(key: str, scale: float = 1.0, digits: int = 3) -> Callable[[tuple[int, Any]], str]:
-        return lambda item: short(item[1][key] * scale, digits) if key in item[1] else "–"
-
-    def above(one: dict[str, Any]) -> str:
-        if "prediction_chi_square" not in one:
-            return "–"
-        error = one["prediction_standard_error"]
-        found = f"{short(one['prediction_above_best'])} ± {short(error, 2)}"
-        return found if error > 1e-6 * one["prediction_chi_square"] else "0"
+    def number(key: str, digits: int = 3) -> Callable[[tuple[int, Any]], str]:
+        return lambda item: short(item[1][key], digits) if key in item[1] else "–"
 
     table = (
         TableOf(numbered)
@@ -545,16 +530,12 @@ def _comparison_table(document: dict[str, Any]) -> Table:
         .number("coefficients", lambda item: str(item[1].get("parameters", "–")))
         .number("chi²/dof", number("chi_square_per_degree", digits=4))
         .number("BIC above best", number("bic_above_best"))
-        .number("prediction above best", lambda item: above(item[1]))
-        .number("missed", number("prediction_force_error", 1.0 / MICRO_G), "µg")
     )
     if any("reason" in one for _, one in numbered):
         table.text("remark", lambda item: str(item[1].get("reason", "")))
     notes = (
         f"Noise weights of all sets: those found with {', '.join(document['noise_terms'])}.",
         f"{count(document['observations'])} observations.",
-        "Prediction: chi-square of the parts left out, with the standard error of the difference.",
-        "Missed: rms over the parts of the mean error of prediction, as specific force.",
     )
     return table.table("Term sets compared", notes)
 

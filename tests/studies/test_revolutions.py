@@ -10,8 +10,11 @@ import pytest
 
 import piga
 from piga.records.run_file import UncertaintyTable
+from piga.studies import whole_turns
 from piga.units import G0
 from tests.calibration.made.synthetic import SCALE, TERMS, at_rest, errors, record
+
+MEAN = ["scale_factor", "k0", "k2", "m_Y"]
 
 
 @pytest.mark.long
@@ -19,7 +22,7 @@ def test_same_truth_with_larger_uncertainty() -> None:
     squares = []
     for seed in range(4):
         run = record(np.random.default_rng([seed, 51]), white=5e-5, walk=1e-6, seconds=60.0)
-        turns, whole = piga.calibrate(run, TERMS, "revolutions"), piga.calibrate(run, TERMS)
+        turns, whole = piga.calibrate(whole_turns(run), MEAN), piga.calibrate(run, TERMS)
         z = errors(turns)
         assert all(abs(value) < 4.5 for value in z.values()), z
         squares += [value**2 for value in z.values()]
@@ -78,17 +81,9 @@ def missed(result: piga.Calibration) -> dict[str, tuple[float, bool]]:
 @pytest.mark.parametrize(("walk", "white"), [(1e-4, 0.0), (5e-5, 1e-4), (0.0, 1e-4)])
 def test_near_lock_the_truth_is_in_reach(walk: float, white: float) -> None:
     run = near_lock(np.random.default_rng([3, 61]), 1, walk, white)[0]
-    calibration = piga.calibrate(run, ("scale_factor", "tan_beta", "k0"), "revolutions", phases="per-segment")
+    calibration = piga.calibrate(whole_turns(run), ("scale_factor", "k0"))
     assert all(abs(z) < 4.0 for z, _ in missed(calibration).values()), missed(calibration)
     assert len(calibration.segments) == 12, "two positions have their lock zone at 0.87 of the drive"
-    assert [c.name for c in calibration.coefficients] == ["scale_factor", "k0"]
-    assert any("tan_beta is not in the result" in note for note in calibration.notes)
-
-
-# --- whole revolutions
-
-
-MEAN = ["scale_factor", "k0", "k2", "m_Y"]
 
 
 def turning(seed: int, **options: Any) -> piga.Run:
@@ -102,11 +97,11 @@ def turning(seed: int, **options: Any) -> piga.Run:
 def test_whole_turns_of_a_small_record() -> None:
     rest = at_rest()
     stated = UncertaintyTable(waived=rest.waived, reference_scale="20 ppm")
-    calibration = piga.calibrate(replace(turning(31), uncertainty=stated), MEAN, "revolutions")
+    calibration = piga.calibrate(whole_turns(replace(turning(31), uncertainty=stated)), MEAN)
     (scale,) = [row.contributions["scale_factor"] for row in calibration.budget if row.type == "B"]
     assert abs(scale) == pytest.approx(20e-6 * 0.8884, rel=1e-3)
     assert calibration["scale_factor"].std > abs(scale)
-    apart = piga.calibrate(replace(turning(31), uncertainty=rest), MEAN, "revolutions")
+    apart = piga.calibrate(whole_turns(replace(turning(31), uncertainty=rest)), MEAN)
     assert all(abs(z) < 4.5 for z in errors(apart).values()), errors(apart)
     assert calibration["scale_factor"].std == pytest.approx(
         np.hypot(apart["scale_factor"].std, scale), rel=1e-6
@@ -115,25 +110,18 @@ def test_whole_turns_of_a_small_record() -> None:
 
 @pytest.mark.interpreted
 def test_positions_without_a_whole_turn() -> None:
-    calibration = piga.calibrate(turning(32, seconds=16.0, count=14), ["scale_factor", "k0"], "revolutions")
-    (event,) = [event for event in calibration.quality.events if event.kind == "no-whole-revolution"]
-    assert 0 < event.count == 14 - len(calibration.segments)
+    turns = whole_turns(turning(32, seconds=16.0, count=14))
+    (event,) = [event for event in turns.quality.events if event.kind == "no-whole-revolution"]
+    assert 0 < event.count == 14 - len(turns.labels)
     with pytest.raises(piga.CalibrationError, match="whole turns"):
-        piga.calibrate(turning(33, seconds=5.0), ["scale_factor", "k0"], "revolutions")
-    with pytest.raises(piga.CalibrationError, match="cannot estimate harmonics"):
-        piga.calibrate(turning(34), ["scale_factor", "k0", "s2", "c2"], "revolutions")
+        whole_turns(turning(33, seconds=5.0))
 
 
 @pytest.mark.interpreted
 @pytest.mark.long
-def test_whole_turns_need_steady_positions_and_a_term() -> None:
+def test_whole_turns_need_steady_positions() -> None:
     run = record(np.random.default_rng(53), seconds=45.0, rate=1.0, count=6, levels=(1.0,))
-    with pytest.raises(piga.CalibrationError, match="needs a term besides tan_beta"):
-        piga.calibrate(run, ["tan_beta"], "revolutions")
     f = run.f.copy()
     f[run.segment_index == 2] *= (1.0 + 0.2 * np.sin(run.t[run.segment_index == 2]))[:, None]
-    calibration = piga.calibrate(replace(run, f=f), ["scale_factor", "k0"], "revolutions")
-    assert "2" not in {segment.label for segment in calibration.segments}
-    assert "2" in {
-        segment.label for segment in piga.calibrate(run, ["scale_factor", "k0"], "revolutions").segments
-    }
+    assert "2" not in whole_turns(replace(run, f=f)).labels
+    assert "2" in whole_turns(run).labels

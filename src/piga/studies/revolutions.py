@@ -16,15 +16,13 @@ import msgspec
 import numpy as np
 
 from piga.calibration.fit import fit_run
-from piga.calibration.model.request import Request
+from piga.calibration.model.request import make_request
 from piga.errors import CalibrationError, IdentifiabilityError
-from piga.records.calibration.diagnostics import Event, Outlier
+from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.results import Array
 
 _FULL_TURN = 2.0 * np.pi
-
-
 _STEADY = 2e-3
 """Largest change of the specific force in a position, relative to its size."""
 _PARTS = 32
@@ -34,8 +32,6 @@ _LOCKING = 0.85
 turn much there."""
 _FEWEST_TURNS = 3
 """Fewest turns beyond one for each position."""
-
-
 _WHY = {
     "no-whole-revolution": "the output does not turn once",
     "force-not-constant": "the specific force changes while the output turns",
@@ -44,36 +40,26 @@ _WHY = {
 """Why a position is left out, by kind of the event."""
 
 
-def whole_turns(run: Run, request: Request) -> tuple[Run, tuple[str, ...], tuple[Outlier, ...]]:
-    """The record at the ends of whole turns of every position, its terms, and outliers of the record itself.
+def whole_turns(run: Run) -> Run:
+    """The record at the ends of whole turns of every position: calibrate it with terms that do not turn.
+
+    The coupling averages out, and so do harmonics of the output angle. Bad samples are left out first, by the fit of the terms
+    in the run file.
 
     Raises
     ------
     CalibrationError
-        If a harmonic or the coupling alone is asked for (whole turns average them out), or if there are too few turns.
+        If the record holds rates, or there are too few turns.
     """
     if run.kind == "rate":
         raise CalibrationError(
-            "method 'revolutions' needs the angle of the output, and the record holds rates",
-            remedy="use method 'information'",
+            "whole turns need the angle of the output, and the record holds rates",
+            remedy="calibrate it as it is",
         )
-    if request.harmonics:
-        raise CalibrationError(
-            "method 'revolutions' cannot estimate harmonics of the output angle: they average out over "
-            "whole turns",
-            remedy="use method 'information'",
-        )
-    terms = tuple(name for name in request.terms if name != "tan_beta")
-    if not terms:
-        raise CalibrationError(
-            "method 'revolutions' averages the coupling out and needs a term besides tan_beta",
-            remedy="add scale_factor, k0, or use method 'information'",
-        )
-    wish = replace(request, method="information", phases="per-segment", phase_source="output")
-    outliers: tuple[Outlier, ...] = ()
     with suppress(CalibrationError, IdentifiabilityError):
-        fit = fit_run(run, wish)
-        run, outliers = fit.design.run, fit.outliers
+        run = fit_run(
+            run, make_request(run, method="information", phases="per-segment", phase_source="output")
+        ).run
     positions: list[tuple[int, slice, Array, float]] = []
     left_out: dict[str, list[str]] = {kind: [] for kind in _WHY}
     for index, label in enumerate(run.labels):
@@ -87,9 +73,9 @@ def whole_turns(run: Run, request: Request) -> tuple[Run, tuple[str, ...], tuple
     if turns < len(positions) + _FEWEST_TURNS:
         short = left_out["no-whole-revolution"]
         raise CalibrationError(
-            f"method 'revolutions' finds {turns} whole turns of the output in {len(positions)} positions"
+            f"the output makes {turns} whole turns in {len(positions)} positions"
             + (f"; not one in {', '.join(short[:6])}" if short else ""),
-            remedy="record longer, name the positions in [data] segment, or use method 'information'",
+            remedy="record longer, name the positions in [data] segment, or calibrate the record as it is",
         )
     events = [
         Event(
@@ -103,7 +89,7 @@ def whole_turns(run: Run, request: Request) -> tuple[Run, tuple[str, ...], tuple
     ]
     quality = replace(run.quality, events=(*run.quality.events, *events))
     model = msgspec.structs.replace(run.model, compare=())
-    return replace(_run_of_turns(run, positions), quality=quality, model=model), terms, outliers
+    return replace(_run_of_turns(run, positions), quality=quality, model=model)
 
 
 def _longest_stretch(run: Run, segment: int) -> slice:
@@ -123,13 +109,12 @@ def _position(run: Run, stretch: slice) -> tuple[Array, float] | str:
         return "no-whole-revolution"
     if np.ptp(force, axis=0).max() > _STEADY * np.linalg.norm(force, axis=1).max():
         return "force-not-constant"
-    parts = _PARTS
-    inner = np.interp(_FULL_TURN / parts * np.arange(parts * count + 1), x, t)
-    ratio = ripple(np.diff(inner).reshape(count, parts).mean(axis=0))
+    inner = np.interp(_FULL_TURN / _PARTS * np.arange(_PARTS * count + 1), x, t)
+    ratio = ripple(np.diff(inner).reshape(count, _PARTS).mean(axis=0))
     if ratio > _LOCKING:
         return "near-lock"
     sign = float(np.sign(output[-1] - output[0]))
-    return inner[::parts], sign * _FULL_TURN / float(np.sqrt(1.0 - ratio**2))
+    return inner[::_PARTS], sign * _FULL_TURN / float(np.sqrt(1.0 - ratio**2))
 
 
 def ripple(times: Array) -> float:
@@ -147,7 +132,6 @@ def ripple(times: Array) -> float:
 def _run_of_turns(run: Run, positions: list[tuple[int, slice, Array, float]]) -> Run:
     """An angle log with one sample for each end of a turn; force, base rate and temperature are means over the position."""
     counts = [at.size for *_, at, _ in positions]
-
     rows = [stretch.start + np.searchsorted(run.t[stretch], at) for _, stretch, at, _ in positions]
     means: dict[str, Any] = {
         name: np.repeat([values[stretch].mean(axis=0) for _, stretch, *_ in positions], counts, axis=0)
