@@ -44,12 +44,11 @@ REPORT_POLICY = (
 """Policy of a report from the folder. Its scripts run in an origin of their own and reach no part of the bench."""
 _MOST_FORM, _MOST_FIELDS = 2 << 20, 2000
 """Largest form [bytes], and most of its fields."""
-LAPSE = 3.0
-"""Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record."""
 FIT = "Fit"
 """Title of the fits of a record."""
-_PATIENCE = 1.0
-"""Time [s] that a stopped job has to end by itself."""
+LAPSE, _PATIENCE = 3.0, 1.0
+"""Time [s] after which a fit that no page asks for is ended, while a page waits for another fit of the record; and time
+that a stopped job has to end by itself."""
 Made = TypeVar("Made")
 Sent = dict[str, str]
 """The fields of a sent form; none when its page is opened."""

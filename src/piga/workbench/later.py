@@ -29,8 +29,8 @@ from piga.workbench.common import REPORT_POLICY, Bench, Field, Sent, bench_of, r
 from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError, plain_name
 from piga.workbench.record import in_words, kept_of, left
 
-_PLAN = "plan-dividing-head.toml"
-"""Example that a plan begins with. Plans for other stands are written as text."""
+CERTIFICATE, _PLAN = "certificate.toml", "plan-dividing-head.toml"
+"""File of the laboratory's own entries; example that a plan begins with, as plans for other stands are written as text."""
 
 
 def _form(
@@ -49,8 +49,6 @@ def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
     return result
 
 
-CERTIFICATE = "certificate.toml"
-"""File of the laboratory's own entries."""
 _EXAMPLE = _entries(toml_document(Path(CERTIFICATE), example_files()[CERTIFICATE]))
 """The entries that the form asks for, with the values of the example."""
 _LISTS = {key: value[0] for key, value in _EXAMPLE.items() if isinstance(value, list)}
