@@ -17,7 +17,7 @@ from piga.compensation.compensator import Compensator
 from piga.compensation.result import Compensated, schema_of
 from piga.errors import ArgumentError, DataError
 from piga.formats.columns import numbers_of
-from piga.records.arrays import number_column
+from piga.tables import number_column
 from piga.text_files import first_line
 
 FORCE = ("fx", "fy", "fz")

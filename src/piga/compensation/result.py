@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from piga.compensation.model import FLAGS, MEANING
 from piga.errors import ArgumentError
 from piga.progress import Progress, report
-from piga.records.arrays import Column, Tabular, number_column
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.run import Run
 from piga.results import Array, Plotted, Reported, Result
+from piga.tables import Column, Tabular, number_column
 from piga.units import G0, MICRO_G
 from piga.upper import doors
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.errors import CalibrationError, DataError, Fix, Where
-from piga.records.arrays import arrow_table
 from piga.records.calibration.diagnostics import Event
+from piga.tables import arrow_table
 from piga.text_files import first_line, open_regular, toml_text
 
 if TYPE_CHECKING:

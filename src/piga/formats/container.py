@@ -41,7 +41,7 @@ from piga.formats.text.convention import (
     units_in_names,
 )
 from piga.formats.text.reader import Fault, Faults, TextStream, missing_hint
-from piga.records.arrays import Column, arrow_table
+from piga.tables import Column, arrow_table
 from piga.text_files import check_unpacked, first_line, open_regular
 
 _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")

@@ -19,9 +19,9 @@ from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
-from piga.records.arrays import Column, arrow_table
 from piga.results import Array, Plotted, Result
 from piga.stand.profile import read_columns
+from piga.tables import Column, arrow_table
 from piga.upper import doors
 
 if TYPE_CHECKING:

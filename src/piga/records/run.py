@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
-from piga.records.arrays import Column, Tabular, changes, stored
+from piga.records.arrays import changes, stored
 from piga.records.calibration.diagnostics import Event, Quality, counted
 from piga.records.run_file import (
     EstimationTable,
@@ -29,6 +29,7 @@ from piga.records.run_file import (
 )
 from piga.records.terms import GYRO, integral_unit, scale_factor_in
 from piga.results import Array, Plotted, Reported, Result, first_lines
+from piga.tables import Column, Tabular
 from piga.terms import LOGGED_TERMS
 from piga.text_files import convert_table
 from piga.units import G0, conversion_factor, numbers_are_si, offset_to_si, si_or_text

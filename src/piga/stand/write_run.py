@@ -21,11 +21,11 @@ from piga.instrument.twin.linear import (
     predicted_second_harmonic,
     servo_terms,
 )
-from piga.records.arrays import label_column, number_column
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.stand.profile import Imperfections
 from piga.stand.scenario import Scenario
 from piga.stand.simulate import SimulatedTest
+from piga.tables import label_column, number_column
 from piga.text_files import toml_text
 from piga.units import G0, parse_unit
 

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.formats.columns import data_table
-from piga.records.arrays import arrow_table
 from piga.records.calibration.diagnostics import Event
 from piga.records.run import Run
 from piga.records.run_file import RunFile
 from piga.results import Array
+from piga.tables import arrow_table
 from piga.text_files import toml_document, toml_text
 from piga.units import G0, offset_to_si, parse_unit
 

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from piga._version import __version__
 from piga.errors import ArgumentError, CalibrationError
-from piga.records.arrays import Column, Tabular, columns_of
 from piga.records.calibration.coefficient import (
     NO_REFERENCE,
     OF_THE_MODEL,
@@ -40,6 +39,7 @@ from piga.records.calibration.diagnostics import (
 from piga.records.run_file import check_direct_unit
 from piga.records.terms import GYRO, check_name, integral_unit, scale_factor_in, unit_of
 from piga.results import Array, ByValue, Reported, Result, drawn, first_lines, repr_of
+from piga.tables import Column, Tabular, columns_of
 from piga.units import from_si, numbers_are_si, to_si
 from piga.upper import doors
 

@@ -14,9 +14,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-from piga.records.arrays import Column, Tabular, columns_of
 from piga.records.terms import si_factor, si_unit_of, unit_of
 from piga.results import ByValue, Result, Shown
+from piga.tables import Column, Tabular, columns_of
 
 PROBABILITY = 0.95
 """Coverage probability of every interval that piga states."""

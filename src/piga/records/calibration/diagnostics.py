@@ -15,9 +15,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from piga.records.arrays import Column, Tabular
 from piga.records.calibration.coefficient import NO_REFERENCE, Level, Number, StandSource
 from piga.results import Array, Plotted, Result
+from piga.tables import Column, Tabular
 from piga.units import G0
 from piga.upper import doors
 
