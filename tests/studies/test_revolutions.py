@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import piga
+from piga.data import copy_example
 from piga.records.run_file import UncertaintyTable
 from piga.studies import whole_turns
 from piga.units import G0
@@ -106,6 +108,13 @@ def test_whole_turns_of_a_small_record() -> None:
     assert calibration["scale_factor"].std == pytest.approx(
         np.hypot(apart["scale_factor"].std, scale), rel=1e-6
     )
+
+
+def test_a_run_file_that_asks_for_the_former_method_names_the_study(tmp_path: Path) -> None:
+    path = copy_example(tmp_path)
+    path.write_text(path.read_text("utf-8") + '\n[estimation]\nmethod = "revolutions"\n', encoding="utf-8")
+    with pytest.raises(piga.ArgumentError, match=r"'revolutions'[\s\S]*whole_turns"):
+        piga.calibrate(piga.read_run(path))
 
 
 @pytest.mark.interpreted

@@ -118,9 +118,11 @@ HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
-Method = Literal["information", "rate"]
+Method = Literal[
+    "information", "rate", "revolutions"
+]  # the last one stands in older files: studies.whole_turns
 
-PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)
+PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)[:2]
 
 
 class TomlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -505,7 +505,9 @@ def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> st
         if source.status == "unstated" and (c := named.get(key))
     ]
     effects.sort(key=lambda effect: -effect[0])
-    words = [f"{text.removesuffix(' 1')}, {size:.2g} u" for size, text in effects[:EXAMPLES]]
+    words = [
+        f"{text.removesuffix(' 1').replace('e-0', 'e-')}, {size:.2g} u" for size, text in effects[:EXAMPLES]
+    ]
     return f". {'; '.join(words)}" if words else ""
 
 
