@@ -11,6 +11,7 @@ from piga.records.run_file import UncertaintyTable
 from piga.units import G0
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.scenarios import COUPLED, EVERYWHERE, SCENARIOS, Scenario, with_term
+from tests.calibration.made.synthetic import record
 
 pytestmark = pytest.mark.long
 
@@ -39,6 +40,14 @@ def test_every_signature_is_recognised(name):
     said = calibration.notes if moves > 1.0 else calibration.remarks
     assert any("signature of a missing term" in note and name in note for note in said)
     assert name not in [c.name for c in calibration.coefficients]
+
+
+def test_of_terms_that_explain_the_same_the_first_of_the_table_is_named():
+    """With a bias, ``k2`` and ``k_YY`` of a tumble in one plane are one column: rounding does not choose."""
+    for seed in range(12):
+        run = with_term(record(np.random.default_rng(seed), levels=(1.0,), rate=4.0), "k2", SIZES["k2"])
+        first = piga.calibrate(run, ["scale_factor", "tan_beta", "k0", "m_Y"]).diagnostics.missing_terms[0]
+        assert (first.terms, first.alike[0]) == (("k2",), "k_YY")
 
 
 @pytest.mark.parametrize("name", ["k2", "m_Y", "k_XY", "c2"])

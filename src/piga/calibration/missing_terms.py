@@ -48,6 +48,8 @@ _LIKE_A_CUBE = 0.5
 of a_x."""
 _ALIKE = 0.9
 """Share of the best candidate's decrease above which another candidate is called similar."""
+_EQUAL = 1e-6
+"""Relative difference of two decreases that rounding makes: the first of the terms in the table then counts."""
 _SUGGESTIONS = 3
 """Most terms suggested."""
 _PIECES = 24
@@ -307,7 +309,8 @@ def suggest_terms(candidates: Candidates, coefficients: tuple[Coefficient, ...])
         worth = [t for t in tests if shifts[t.names][0] > 1.0 or t.fall > _NOTABLE]
         if not worth:
             break
-        best = max(worth, key=lambda test: test.fall)
+        most = max(test.fall for test in worth)
+        best = next(test for test in worth if test.fall >= (1.0 - _EQUAL) * most)
         likelier, share = ("k0_T", _ALIKE) if best.names == ("k0_t",) else ("", 1.0)
         if square is not None and best.names[0] in CUBIC:
             likelier, share = "servo", _LIKE_A_CUBE
