@@ -1,11 +1,6 @@
 """The platform [He2014]: redundancy angle, drift coupling, ten days, wobbling rotation axes; gyro accelerometers on it.
 
-On a platform fixed in inertial space, gravity describes a cone once a sidereal day. Twice a day it crosses the plane
-normal to an input axis of a gyro accelerometer and passes the locked zone ``|a_x| < a_t tan(beta)``. :func:`capstone`
-reads the same days in several ways and navigates each time.
-
-With the usual tan(beta) the zone is passed faster than the gimbal can lock. The error has another cause: near the zone the
-gimbal turns so slowly that the cross-coupling keeps its phase (docs/theory/platform.md section 10).
+Why gyro accelerometers err on it although they are never locked for long: docs/theory/platform.md section 10.
 """
 
 from __future__ import annotations
@@ -14,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
 import numpy as np
@@ -23,14 +18,14 @@ from piga.errors import ArgumentError
 from piga.frames import matrix_to_rotation_vector, rotation_vector_to_matrix
 from piga.platform.chain import (
     ModelComparisonRun,
-    Preparation,
     channels,
     compare,
     fitted_lines,
     prepare,
+    run_model,
 )
 from piga.platform.geometry import nulled_attitude
-from piga.platform.navigator import Errors, compensator, errors, navigate
+from piga.platform.navigator import Errors
 from piga.platform.scenario import (
     Compensation,
     Gyro,
@@ -40,37 +35,33 @@ from piga.platform.scenario import (
     PlatformScenario,
     Rotation,
 )
-from piga.platform.simulate import TRIPOD, PlatformRun, locked, mounting_axes, simulate
+from piga.platform.simulate import TRIPOD, locked, mounting_axes, simulate
 from piga.progress import Progress, Steps
 from piga.reports.platform import lines_figure, page, published_figure, schuler_peak, time_axis
 from piga.reports.render.figure import Figure, Plot, Role, Series
 from piga.reports.render.numbers import short
-from piga.reports.render.page import Page, Section, Table, TableOf, Tile
+from piga.reports.render.page import Page, Section, TableOf, Tile
 from piga.results import Array, Result
-from piga.studies.case import Chapter, Value, chapter_of
+from piga.studies.case import Chapter, chapter_of, published_chapters
 from piga.units import ARCMIN, DAY
 
 CASE_RATE = 2.0 * math.pi / 480.0
 GRAVITY_OF_TABLE = 9.8
 """g of the publication's relations [m/s^2]."""
-_MISALIGNMENT = 10.0 * ARCMIN
 _HOUR_RATE = math.radians(1.0) / 3600.0
-_CASE = np.arange(256) * (2.0 * np.pi / 256)
-
-
-def pole_amplitude(misalignment: float, eta: float) -> float:
-    """First-harmonic amplitude [rad] of the platform's rotation about the polar axis over a case turn, for m2 = 0.
-
-    From the exact geometry of both nulled pick-offs.
-    """
-    attitude, _ = nulled_attitude(Gyro(misalignment), Gyro(), _CASE, _CASE, eta)
-    turn = matrix_to_rotation_vector(np.swapaxes(attitude, 1, 2))[:, 2]
-    return float(2.0 * np.abs(np.mean(turn * np.exp(-1j * _CASE))))
 
 
 def table() -> Chapter:
-    """Amplitude about the polar axis for 10' against redundancy angle, and the resulting east velocity."""
-    values = {f"eta-{eta}": pole_amplitude(_MISALIGNMENT, math.radians(eta)) / ARCMIN for eta in range(1, 6)}
+    """Amplitude about the polar axis for 10' against redundancy angle, and the resulting east velocity.
+
+    The amplitude is the first harmonic over a case turn, from the exact geometry of both nulled pick-offs, for m2 = 0.
+    """
+    case = np.arange(256) * (2.0 * np.pi / 256)
+    values: dict[str, float] = {}
+    for eta in range(1, 6):
+        attitude, _ = nulled_attitude(Gyro(10.0 * ARCMIN), Gyro(), case, case, math.radians(eta))
+        turn = matrix_to_rotation_vector(np.swapaxes(attitude, 1, 2))[:, 2]
+        values[f"eta-{eta}"] = float(2.0 * np.abs(np.mean(turn * np.exp(-1j * case)))) / ARCMIN
     values |= {
         "velocity": GRAVITY_OF_TABLE * ARCMIN / CASE_RATE,
         "velocity-as-printed": 10.0 * ARCMIN / CASE_RATE,
@@ -79,51 +70,25 @@ def table() -> Chapter:
 
 
 def coupling() -> Chapter:
-    """Drift of the triad from the drifts of two gyros: published relations against the geometry of two momenta."""
-    eta = math.radians(5.0)
-    drift = {
-        "w1x": 0.013 * _HOUR_RATE,
-        "w1y": -0.007 * _HOUR_RATE,
-        "w2y": 0.01 * _HOUR_RATE,
-        "w2z": 0.02 * _HOUR_RATE,
-    }
-    relation, geometry = published_coupling(eta, **drift), momentum_coupling(eta, **drift)
-    values = {
-        name: Value(value / _HOUR_RATE, published=relation[name] / _HOUR_RATE)
-        for name, value in geometry.items()
-    }
-    return chapter_of("drift-coupling", values)
+    """Drift of the triad from the drifts of two gyros: published relations against the geometry of two momenta.
 
-
-def published_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: float) -> dict[str, float]:
-    """The published relations [rad/s]."""
-    secant, tangent = 1.0 / math.cos(eta), math.tan(eta)
-    return {
-        "w_Gx": w1x,
-        "w_Gy": w1y,
-        "w_Gz": w2z * secant - w1x * tangent,
-        "eta_rate": w2y - w1y,
-        "w_G2x": w1x * secant - w2z * tangent,
-    }
-
-
-def momentum_coupling(eta: float, *, w1x: float, w1y: float, w2y: float, w2z: float) -> dict[str, float]:
-    """Coupled drift from the geometry of two momenta, by central difference [rad/s]; own derivation."""
-    half = 600.0
+    The geometry is our own derivation, by central difference over ten minutes each way.
+    """
+    half, eta = 600.0, math.radians(5.0)
     h1, h2 = np.array([0.0, 0.0, 1.0]), np.array([math.cos(eta), 0.0, -math.sin(eta)])
     z_G2 = np.array([math.sin(eta), 0.0, math.cos(eta)])
-    first, second = np.array([w1x, w1y, 0.0]), np.array([0.0, w2y, 0.0]) + w2z * z_G2
-    ends = []
-    for time in (-half, half):
-        p1 = rotation_vector_to_matrix(first * time) @ h1
-        p2 = rotation_vector_to_matrix(second * time) @ h2
-        ends.append(_triad(p1, p2))
-    (before, eta_before), (after, eta_after) = ends
-    rate = matrix_to_rotation_vector(after @ before.T) / (2.0 * half)
-    return dict(zip(("w_Gx", "w_Gy", "w_Gz"), rate.tolist(), strict=True)) | {
-        "eta_rate": (eta_after - eta_before) / (2.0 * half),
+    first = _HOUR_RATE * np.array([0.013, -0.007, 0.0])
+    second = _HOUR_RATE * (np.array([0.0, 0.01, 0.0]) + 0.02 * z_G2)
+    (before, eta_before), (after, eta_after) = (
+        _triad(rotation_vector_to_matrix(first * time) @ h1, rotation_vector_to_matrix(second * time) @ h2)
+        for time in (-half, half)
+    )
+    rate = matrix_to_rotation_vector(after @ before.T) / (2.0 * half) / _HOUR_RATE
+    values = dict(zip(("w_Gx", "w_Gy", "w_Gz"), rate.tolist(), strict=True)) | {
+        "eta_rate": (eta_after - eta_before) / (2.0 * half) / _HOUR_RATE,
         "w_G2x": float(rate @ h2),
     }
+    return chapter_of("drift-coupling", values)
 
 
 def _triad(h1: Array, h2: Array) -> tuple[Array, float]:
@@ -139,23 +104,8 @@ STEP: Final = 2.0
 _DRIFT = math.radians(0.01) / 3600.0
 _DAYS = 10.0
 _LATE = 7200.0
-
-
-@dataclass(frozen=True)
-class Published:
-    """One channel on day ten with model A: simulated and theoretical amplitude as printed, in units of ``scale`` (SI)."""
-
-    channel: str
-    scale: float
-    simulated: float
-    theory: float
-
-
-CHANNELS = (
-    Published("east_velocity", 1.0, 0.03, 0.03),
-    Published("heading", ARCMIN, 0.13, 0.11),
-    Published("roll", ARCMIN, 0.16, 0.13),
-)
+CHANNELS: Final = {"east_velocity": 1.0, "heading": ARCMIN, "roll": ARCMIN}
+"""Channels of the ten days, with the units of their published numbers (SI)."""
 
 
 def scenario(*, wobble: bool) -> PlatformScenario:
@@ -165,27 +115,26 @@ def scenario(*, wobble: bool) -> PlatformScenario:
     is not published.
     """
     models: tuple[Model, ...] = ("A", "B", "C") if wobble else ("A", "B")
+    polar = equatorial = Gyro(4.0 * ARCMIN)
+    if wobble:
+        polar, equatorial = _wobbling(20.0, 60.0, 130.0), _wobbling(75.0, 100.0, 10.0)
     return PlatformScenario(
         Place(LATITUDE, math.radians(116.0)),
         duration=_DAYS * DAY,
         step=STEP,
         polar_rotation=Rotation(CASE_RATE),
         equatorial_rotation=Rotation(CASE_RATE),
-        polar=_gyro(20.0, (60.0, 130.0), wobble=wobble),
-        equatorial=msgspec.structs.replace(_gyro(75.0, (100.0, 10.0), wobble=wobble), drift=(_DRIFT, 0.0)),
+        polar=polar,
+        equatorial=msgspec.structs.replace(equatorial, drift=(_DRIFT, 0.0)),
         compensation=Compensation(models=models),
     )
 
 
-def _gyro(phase: float, waves: tuple[float, float], *, wobble: bool) -> Gyro:
-    if not wobble:
-        return Gyro(4.0 * ARCMIN)
-    sizes = (0.25 * ARCMIN, 0.05 * ARCMIN)
-    harmonics = tuple(
-        Harmonic(k + 2, size, math.radians(angle))
-        for k, (size, angle) in enumerate(zip(sizes, waves, strict=True))
-    )
-    return Gyro(4.0 * ARCMIN, math.radians(phase), harmonics)
+def _wobbling(*phases: float) -> Gyro:
+    """A gyro with harmonics of one, two and three cycles a turn at these phases [deg]."""
+    first, second, third = np.radians(phases).tolist()
+    harmonics = Harmonic(2, 0.25 * ARCMIN, second), Harmonic(3, 0.05 * ARCMIN, third)
+    return Gyro(4.0 * ARCMIN, first, harmonics)
 
 
 @cache
@@ -199,37 +148,45 @@ def last_lines(comparison: ModelComparisonRun, model: Model) -> dict[str, float]
     errors = comparison.models[model].errors
     named = channels(errors)
     late = errors.times > errors.times[-1] - _LATE
-    table = np.stack([named[c.channel][late] for c in CHANNELS], axis=1)
+    table = np.stack([named[channel][late] for channel in CHANNELS], axis=1)
     amplitude = fitted_lines(errors.times[late], table, (CASE_RATE,), LATITUDE)[0]
-    return {c.channel: float(v) for c, v in zip(CHANNELS, amplitude, strict=True)}
+    return dict(zip(CHANNELS, amplitude.tolist(), strict=True))
 
 
-def formula(channel: str) -> float:
-    """The published formula at the end of day ten (SI): g d cos(L)/w_c, d sin(L), d cos(L), d = m1 tan(eta)."""
-    turn = 4.0 * ARCMIN * math.tan(_DRIFT * _DAYS * DAY)
-    return {
-        "east_velocity": GRAVITY_OF_TABLE * turn * math.cos(LATITUDE) / CASE_RATE,
-        "heading": turn * math.sin(LATITUDE),
-        "roll": turn * math.cos(LATITUDE),
-    }[channel]
+def printed(channel: str, what: str) -> float:
+    """A published number of the ten days: the ``formula``, the printed ``theory`` or the simulation of model ``A``."""
+    case = published_chapters()["ten-days"].cases[f"{channel.replace('_', '-')}-{what}"]
+    return cast("float", case.published)
 
 
 def ten_days() -> Chapter:
     """Models A and B over ten days."""
     comparison = compared(wobble=False)
     lines = {m: last_lines(comparison, m) for m in comparison.models}
-    values: dict[str, float | Value] = {}
-    for c in CHANNELS:
-        name = c.channel.replace("_", "-")
-        theory, followed = (lines[model][c.channel] / c.scale for model in ("A", "B"))
+    values: dict[str, float] = {}
+    for channel, unit in CHANNELS.items():
+        name = channel.replace("_", "-")
+        theory, followed = (lines[model][channel] / unit for model in ("A", "B"))
         values |= dict.fromkeys((f"{name}-theory", f"{name}-formula", f"{name}-A"), theory)
         values[f"{name}-B"] = followed
     first = [float(comparison.models[m].lines.amplitude["east_velocity"][0]) for m in ("A", "B")]
     values["first-day"] = first[0] - first[1]
     title = "Errors around the end of day ten, models A and B"
     end = replace(published_figure(comparison), key="ten-days-end", title=title)
-    figures = (_with_published(lines_figure(comparison)), end)
-    return chapter_of("ten-days", values, figures)
+    daily = lines_figure(comparison)
+    panels = [replace(panel, y=replace(panel.y, log=False)) for panel in daily.panels]
+    for k, channel in enumerate(CHANNELS):
+        added = (
+            Series([_DAYS], [printed(channel, "A")], "published simulation, model A", "points", "warning"),
+            Series([_DAYS], [printed(channel, "theory")], "published theory, model A", "points", "model"),
+        )
+        panels[k] = replace(panels[k], series=(*panels[k].series, *added))
+    caption = (
+        "Amplitude fitted over each day, so that a day's point stands for its middle; the published amplitudes belong to the end "
+        "of day ten. Model A grows with the redundancy angle as the theory says; model B follows it."
+    )
+    daily = replace(daily, key="ten-days-lines", panels=tuple(panels), caption=caption)
+    return chapter_of("ten-days", values, (daily, end))
 
 
 def wobble() -> Chapter:
@@ -245,35 +202,17 @@ def wobble() -> Chapter:
     return chapter_of("wobble", values | {"left-B": amplitude["B"]}, figures)
 
 
-def _with_published(figure: Figure) -> Figure:
-    """The lines per day on linear axes, with the published amplitudes of day ten."""
-    panels = [replace(panel, y=replace(panel.y, log=False)) for panel in figure.panels]
-    for k, channel in enumerate(CHANNELS):
-        added = (
-            Series([_DAYS], [channel.simulated], "published simulation, model A", "points", "warning"),
-            Series([_DAYS], [channel.theory], "published theory, model A", "points", "model"),
-        )
-        panels[k] = replace(panels[k], series=(*panels[k].series, *added))
-    caption = (
-        "Amplitude fitted over each day, so that a day's point stands for its middle; the published amplitudes belong to the end "
-        "of day ten. Model A grows with the redundancy angle as the theory says; model B follows it."
-    )
-    return replace(figure, key="ten-days-lines", panels=tuple(panels), caption=caption)
-
-
 # -- gyro accelerometers on the platform ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CapstoneOutcome(Result):
-    """Errors of one way to mount and read the instruments, and how they are drawn.
+    """Errors of one way to mount and read the instruments.
 
     Locked time [s/day] of each instrument; noise against that of three axes at right angles.
     """
 
     sentence: str
-    role: Role
-    dashed: bool
     errors: Errors
     locked_per_day: Array
     noise_gain: float
@@ -334,7 +273,7 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
     steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
-    for name, (changes, sentence, role, dashed) in _READINGS.items():
+    for name, (changes, sentence, *_) in _READINGS.items():
         steps(f"navigating, {name}")
         run, axes, inside = ideal, np.eye(3), np.zeros(3)
         if changes is not None:
@@ -346,19 +285,10 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
             axes, inside = mounting_axes(used)[:, 0, :], locked(used, run.truth.force).mean(axis=0) * DAY
         gain = float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0))
         words = sentence.format(np.degrees(sensors.cone))
-        left = _navigated(run, preparation)
-        outcomes[name] = CapstoneOutcome(words, role, dashed, left, inside, gain)
+        left = run_model(run, preparation, "B", every=max(1, round(10.0 / scenario.step))).errors
+        outcomes[name] = CapstoneOutcome(words, left, inside, gain)
     steps.finish()
     return Capstone(scenario, outcomes)
-
-
-def _navigated(run: PlatformRun, preparation: Preparation) -> Errors:
-    """Navigation errors of a run with model B."""
-    s, readouts = run.scenario, run.readouts
-    made = compensator("B", preparation.knowledge, readouts, redundancy=s.compensation.redundancy)
-    every = max(1, round(10.0 / s.step))
-    navigation = navigate(readouts, made, preparation.start, damping_time=s.damping_time, every=every)
-    return errors(navigation, run.truth, readouts)
 
 
 def capstone_figure(capstone: Capstone) -> Figure:
@@ -368,7 +298,8 @@ def capstone_figure(capstone: Capstone) -> Figure:
     plot = Plot("fig-capstone", title, axis, "log horizontal position error [m]", height=3.6)
     for name, o in capstone.outcomes.items():
         peak = np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4)
-        plot.line(o.errors.times / unit, peak, name, o.role, dashed=o.dashed)
+        *_, role, dashed = _READINGS[name]
+        plot.line(o.errors.times / unit, peak, name, role, dashed=dashed)
     return plot.caption("Largest error within each 84 minutes.")
 
 
@@ -392,19 +323,15 @@ def capstone_page(capstone: Capstone) -> Page:
         f"{short(o['raw skewed'].noise_gain)} times the noise. Solved together with their effective axes the three "
         f"instruments give the force back in any mounting, against {position['ideal']} m with ideal ones."
     )
-    blocks = (story, capstone_figure(capstone), _capstone_table(capstone))
-    sections = (Section("What happens", "story", blocks),)
-    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
-
-
-def _capstone_table(capstone: Capstone) -> Table:
-    return (
-        TableOf(capstone.outcomes.items())
+    table = (
+        TableOf(o.items())
         .text("reading", lambda row: row[0])
-        .number("position error", lambda row: short(row[1].position), "m")
+        .number("position error", lambda row: position[row[0]], "m")
         .number("velocity error", lambda row: short(1e3 * row[1].velocity), "mm/s")
         .number("locked", lambda row: short(float(row[1].locked_per_day.max())), "s/day")
         .number("noise gain", lambda row: short(row[1].noise_gain))
         .text("what it is", lambda row: row[1].sentence)
         .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
     )
+    sections = (Section("What happens", "story", (story, capstone_figure(capstone), table)),)
+    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Final, Literal
@@ -11,8 +12,6 @@ import numpy as np
 
 from piga._kernels.jit import kernel
 from piga.calibration.calibrate import calibrate
-from piga.calibration.fit import fit_run
-from piga.calibration.model.request import make_request
 from piga.compensation import compensate
 from piga.errors import CalibrationError
 from piga.instrument import ErrorModel, Instrument, closed_form, dead_zone, mean_rate, propagate
@@ -26,8 +25,8 @@ RAMP_TOP: Final = 2.06
 """a_x at the end of the time-varying run [g]: a_Y reaches about 10 g, the error about 0.05 g."""
 PUBLISHED_PHASE: Final = 0.802
 """phi of the time-varying run as printed [rad]."""
-_POINTS, _GROWING = 400, 50
-"""Points of the history of the published recursion, and of piga's own estimates."""
+_POINTS = 400
+"""Points of the history of the published recursion."""
 
 ForceHistory = Literal["ramp", "constant"]
 
@@ -52,22 +51,6 @@ def published_calibration(profile: ForceHistory) -> Calibration:
     return published_recursion(record(profile))
 
 
-@cache
-def own_calibration(profile: ForceHistory) -> Calibration:
-    """The calibration by piga's linear estimator. It needs no first guess."""
-    return calibrate(record(profile), terms=["tan_beta"])
-
-
-def growing_estimates(run: Run) -> dict[str, Array]:
-    """Estimates of tan_beta and phi by piga from the first samples of a record."""
-    marks, rows = np.linspace(1, run.size, _GROWING).astype(np.int64)[1:], []
-    for mark in marks.tolist():
-        part = run.between(float(run.t[0]), float(run.t[mark - 1]))
-        fit = fit_run(part, make_request(part, ("tan_beta",)))
-        rows.append([c.value for c in fit.runs.named(fit.estimate, fit.estimate.covariance)[0]])
-    return {"sample": marks.astype(float), **dict(zip(("tan_beta", "phi"), np.array(rows).T, strict=True))}
-
-
 def raw_state(profile: ForceHistory) -> tuple[float, float]:
     """[tan_beta, phi] as the recursion returns them. tan_beta may be negative and phi beyond half a turn."""
     history = published_calibration(profile).history or {}
@@ -79,21 +62,30 @@ def raw_error(run: Run) -> Array:
     return np.asarray((run.output / run.scale_factor - run.f[:, 0]) / G0)
 
 
-def velocity(run: Run) -> Array:
-    """Integral of a_x [m/s]."""
-    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
-    return np.concatenate(([0.0], np.cumsum(steps)))
-
-
 def model_phase(run: Run) -> Array:
     """Phase of the published model minus phi: the integral of K a_x [rad]."""
-    return np.asarray(run.scale_factor * velocity(run))
+    steps = 0.5 * (run.f[1:, 0] + run.f[:-1, 0]) * np.diff(run.t)
+    return np.asarray(run.scale_factor * np.concatenate(([0.0], np.cumsum(steps))))
+
+
+def model_error(value: Mapping[str, float], force: Array, phase: Array) -> Array:
+    """Error [g] by the published model, at force (n, 3) [m/s^2] with a_Z = 0 and phase [rad] without phi.
+
+    A coefficient of ``k0``, ``k1`` and ``k2`` that is not given is zero.
+    """
+    a_x, a_Y = force[:, 0] / G0, force[:, 1] / G0
+    k0, k1, k2 = (value.get(name, 0.0) for name in ("k0", "k1", "k2"))
+    return np.asarray(value["tan_beta"] * a_Y * np.sin(phase + value["phi"]) + k0 + k1 * a_x + k2 * a_x**2)
+
+
+def values_of(calibration: Calibration) -> dict[str, float]:
+    """Values of the coefficients by name."""
+    return {c.name: c.value for c in calibration.coefficients}
 
 
 def model_residual(run: Run, calibration: Calibration) -> Array:
     """Error that remains after the published model, at its own phase [g] (a_Z = 0)."""
-    phase = model_phase(run) + calibration["phi"].value
-    return np.asarray(raw_error(run) - run.f[:, 1] / G0 * calibration["tan_beta"].value * np.sin(phase))
+    return np.asarray(raw_error(run) - model_error(values_of(calibration), run.f, model_phase(run)))
 
 
 def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
@@ -244,11 +236,6 @@ def run() -> Chapter:
     error, late = raw_error(log), log.f[:, 0] > 0.5 * RAMP_TOP * G0
     growth = float(np.abs(error[late] / (log.f[late, 0] / G0)).max())
     values = {"error": float(np.abs(error).max()), "growth": growth}
-    return chapter_of("time-varying", values, (_run_figure(error),))
-
-
-def _run_figure(error: Array) -> Figure:
-    log = record("ramp")
     drawn = slice(None, None, _EVERY)
     a_x, error = log.f[drawn, 0] / G0, error[drawn]
     indicated = a_x + error
@@ -263,9 +250,10 @@ def _run_figure(error: Array) -> Figure:
     plot.line(a_x, error, "error of the indication", "after")
     plot.panel("revolutions of the gimbal", "error [g]", "One period a revolution")
     plot.line(model_phase(log)[drawn] / (2.0 * np.pi), error, "error of the indication", "after")
-    return plot.caption(
+    figure = plot.caption(
         "The error reaches 0.05 g at 2 g and repeats with each revolution: on the whole range the indication looks right."
     )
+    return chapter_of("time-varying", values, (figure,))
 
 
 def mounting() -> Chapter:
@@ -296,7 +284,7 @@ def recursion() -> Chapter:
     """[tan_beta, phi] from x0 = [4.5e-3, 0.4], P0 = 1e10 I, and wrong convergence with a constant input."""
     tan_beta, phi = raw_state("ramp")
     wrong_tan_beta, wrong_phi = raw_state("constant")
-    ours, constant_ours = own_calibration("ramp"), own_calibration("constant")
+    ours, constant_ours = (calibrate(record(one), terms=["tan_beta"]) for one in ("ramp", "constant"))
     constant, lead = closed_form_phase()
     values = {
         "tan_beta": tan_beta,
@@ -309,16 +297,8 @@ def recursion() -> Chapter:
         "constant-phi": wrong_phi,
         "constant-own": constant_ours["tan_beta"].value - INSTRUMENT.tan_beta,
     }
-    return chapter_of("recursion", values, (_history_figure(),))
-
-
-def _history_figure() -> Figure:
-    """Whole run on the left, from 20 s on the right; tan(beta) above, phi below."""
-    t = record("ramp").t
-    estimates: tuple[tuple[dict[str, Array], str, Role], ...] = (
-        (published_calibration("ramp").history or {}, "published recursion", "before"),
-        (growing_estimates(record("ramp")), "linear estimator, no first guess", "after"),
-    )
+    t, history = record("ramp").t, published_calibration("ramp").history or {}
+    when = t[history["sample"].astype(int) - 1]
     plot = Plot("recursion-history", "Recursive calibration: history of the estimates", columns=2, height=2.3)
     for name, scale, y, true, printed in (
         ("tan_beta", 1e3, "tan(beta) [1e-3]", INSTRUMENT.tan_beta, 4.848e-3),
@@ -329,31 +309,24 @@ def _history_figure() -> Figure:
             plot.panel("time [s]", y, above if name == "tan_beta" else "")
             plot.level([begin, t[-1]], scale * true, "true")
             plot.level([begin, t[-1]], scale * printed, "published result", "warning")
-            for history, label, role in estimates:
-                when = t[history["sample"].astype(int) - 1]
-                shown = when >= begin
-                plot.line(when[shown], scale * history[name][shown], label, role)
-    return plot.caption(
+            shown = when >= begin
+            plot.line(when[shown], scale * history[name][shown], "published recursion", "before")
+    figure = plot.caption(
         "The published recursion settles within 20 s; its phase then drifts with the run, through the printed 0.802 rad, and "
-        "would go on below the truth in a longer one. The linear estimator is at "
-        "the truth as soon as there are more samples than unknowns (noiseless data)."
+        "would go on below the truth in a longer one."
     )
+    return chapter_of("recursion", values, (figure,))
 
 
 def compensation() -> Chapter:
     """The published compensation (under 0.002 g) against the exact one (rounding)."""
     log = record("ramp")
-    published, ours = published_calibration("ramp"), own_calibration("ramp")
+    published, ours = published_calibration("ramp"), calibrate(log, terms=["tan_beta"])
     before, model = raw_error(log), model_residual(log, published)
     formula = compensated_error(log, with_phase(published, PUBLISHED_PHASE), "published")
     exact = compensated_error(log, ours, "exact")
     largest = [float(np.abs(error).max()) for error in (before, model, model, formula, exact)]
     values = dict(zip(("before", "model-limit", "model", "formula", "exact"), largest, strict=True))
-    return chapter_of("compensation", values, (_compensation_figure(before, model, formula, exact),))
-
-
-def _compensation_figure(before: Array, model: Array, formula: Array, exact: Array) -> Figure:
-    t = record("ramp").t[::20]
     rows: tuple[tuple[Array, float, str, Role, str], ...] = (
         (before, 1.0, "g", "before", "Before"),
         (model, 1e3, "mg", "warning", "Published, phase from the input"),
@@ -362,12 +335,13 @@ def _compensation_figure(before: Array, model: Array, formula: Array, exact: Arr
     )
     plot = Plot("compensation-errors", "What compensation leaves of the error", columns=2, height=2.3)
     for y, scale, unit, role, title in rows:
-        plot.panel("time [s]", f"error [{unit}]", title).line(t, scale * y[::20], role=role)
-    return plot.caption(
+        plot.panel("time [s]", f"error [{unit}]", title).line(log.t[::_EVERY], scale * y[::_EVERY], role=role)
+    figure = plot.caption(
         "Four scales: g, mg twice, and 1e-15 g. Above right the phase is the integral of K a_x, below left that of the output "
         "plus the printed 0.802 rad. The published compensation takes the error from 0.05 g to "
         f"1 or 2 mg at {RAMP_TOP:g} g; the exact one to rounding."
     )
+    return chapter_of("compensation", values, (figure,))
 
 
 # -- five coefficients on a record of 257 s with three phases, eq. 22-24 ---------------------------------------
@@ -409,13 +383,8 @@ def _model_record() -> Run:
     """Output rate [rad/s] of the published model, without noise. Its phase is the integral of K a_x."""
     t = _real_record().t
     f = five_force(t)
-    K = _INSTRUMENT.scale_factor
-    a_x, a_Y = f[:, 0] / G0, f[:, 1] / G0
-    phase = model_phase(_real_record()) + TRUTH["phi"]
-    error = TRUTH["tan_beta"] * a_Y * np.sin(phase) + TRUTH["k0"] + TRUTH["k1"] * a_x + TRUTH["k2"] * a_x**2
-    return Run.from_arrays(
-        t, K * G0 * (a_x + error), f, scale_factor=SCALE, kind="rate", serial="five", units="SI"
-    )
+    rate = _INSTRUMENT.scale_factor * G0 * (f[:, 0] / G0 + model_error(TRUTH, f, model_phase(_real_record())))
+    return Run.from_arrays(t, rate, f, scale_factor=SCALE, kind="rate", serial="five", units="SI")
 
 
 def _noisy_successes() -> tuple[int, int]:
@@ -447,43 +416,26 @@ def five() -> Chapter:
         values[f"{name}-real"] = real[name].value
     old, new = _noisy_successes()
     values |= {"successes-published": float(old), "successes": float(new)}
-    return chapter_of("five-coefficients", values, (_five_record(), _five_fit(own, real)))
+    return chapter_of("five-coefficients", values, _five_figures(own, real))
 
 
-def _indicated_error(run: Run) -> tuple[Array, Array, Array]:
-    """Time [s], indicated minus true a_x [g] over ten samples, and mean output angle [rad]."""
-    t, psi, v = run.t[::10], run.output[::10], velocity(run)[::10]
-    error = (np.diff(psi) / run.scale_factor - np.diff(v)) / np.diff(t) / G0
-    return 0.5 * (t[1:] + t[:-1]), error, 0.5 * (psi[1:] + psi[:-1])
-
-
-def _model_error(calibration: Calibration, force: Array, psi: Array) -> Array:
-    """Error [g] from the coefficients of a calibration, at force (n, 3) [m/s^2] and phase ``psi`` [rad]."""
-    a_x, a_Y = force[:, 0] / G0, force[:, 1] / G0
-    value = {name: calibration[name].value for name in TRUTH}
-    coupling = value["tan_beta"] * a_Y * np.sin(psi + value["phi"])
-    return np.asarray(coupling + value["k0"] + value["k1"] * a_x + value["k2"] * a_x**2)
-
-
-def _five_record() -> Figure:
+def _five_figures(own: Calibration, published: Calibration) -> tuple[Figure, Figure]:
+    """The record with its error [g] over ten samples, and what both calibrations leave of it."""
     run = _real_record()
-    t, error, _ = _indicated_error(run)
+    ends, psi, ideal = run.t[::10], run.output[::10], model_phase(run)[::10]
+    error = np.diff(psi - ideal) / run.scale_factor / np.diff(ends) / G0
+    t = 0.5 * (ends[1:] + ends[:-1])
+    force = five_force(t)
+    fit = model_error(values_of(own), force, 0.5 * (psi[1:] + psi[:-1]))
+    old = model_error(values_of(published), force, np.interp(t, run.t, model_phase(run)))
     plot = Plot("five-record", "The 257 s record: input and error", height=2.1)
     plot.panel("time [s]", "specific force [g]")
     plot.line(run.t, run.f[:, 0] / G0, "a_x", "x").line(run.t, run.f[:, 1] / G0, "a_Y", "z")
     plot.panel("time [s]", "error of the indication [mg]").line(t, 1e3 * error, "error", "before")
-    return plot.caption(
+    record_figure = plot.caption(
         "Rising to 120 s, steady to 200 s, fast changes to 257 s. The error is bias, slope and bend of a_x with the "
         "cross-coupling of up to 3 mg on top."
     )
-
-
-def _five_fit(own: Calibration, published: Calibration) -> Figure:
-    run = _real_record()
-    t, error, psi = _indicated_error(run)
-    force = five_force(t)
-    fit = _model_error(own, force, psi)
-    old = _model_error(published, force, np.interp(t, run.t, model_phase(run)))
     plot = Plot("five-fit", "Fit of the five coefficients", columns=2, height=2.4)
     for begin, end in ((100.0, 130.0), (215.0, 245.0)):
         part = (t > begin) & (t < end)
@@ -495,7 +447,7 @@ def _five_fit(own: Calibration, published: Calibration) -> Figure:
     plot.line(t, 1e3 * (error - old), role="before")
     plot.panel("time [s]", "residual [mg]", "Left by the linear estimator")
     plot.line(t, 1e3 * (error - fit), role="after")
-    return plot.caption(
+    return record_figure, plot.caption(
         "Above: thirty seconds of the rise and of the fast changes. Below: what each method leaves (means over 0.2 s). Good is "
         "noise without a trace of the gimbal's turns."
     )

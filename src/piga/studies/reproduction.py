@@ -27,7 +27,7 @@ from piga.reports.render.page import (
 from piga.studies import constant, platform, recursion
 from piga.studies.case import INSTRUMENT, RATIO, TRANSVERSE, Case, Chapter, Value, Verdict, chapter_of
 from piga.studies.constant import EXAMPLES, published_closed_form
-from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, formula, last_lines
+from piga.studies.platform import CASE_RATE, CHANNELS, GRAVITY_OF_TABLE, compared, last_lines, printed
 from piga.studies.recursion import (
     PUBLISHED_PHASE,
     RAMP_TOP,
@@ -47,7 +47,14 @@ from piga.units import ARCMIN
 
 def errata() -> Chapter:
     """All errata with their numbers."""
-    return chapter_of("errata", {**_forms(), **_phase(), **_platform()})
+    values = _forms() | _phase()
+    values["gravity"] = 100.0 * (0.222 / (GRAVITY_OF_TABLE * ARCMIN / CASE_RATE) - 1.0)
+    lines = last_lines(compared(wobble=False), "A")
+    for channel in ("heading", "roll"):
+        theory = printed(channel, "formula")
+        values[f"{channel}-published"] = 100.0 * (printed(channel, "A") / theory - 1.0)
+        values[f"{channel}-ours"] = 100.0 * (lines[channel] / CHANNELS[channel] / theory - 1.0)
+    return chapter_of("errata", values)
 
 
 def _forms() -> dict[str, float | Value]:
@@ -58,8 +65,8 @@ def _forms() -> dict[str, float | Value]:
         a_x, a_Y, a_Z = example.force
         force = -a_x, a_Y, a_Z
         exact = closed_form(INSTRUMENT, t, *force)[1]
-        for suffix, printed in (("", True), ("-corrected", False)):
-            _, rate = published_closed_form(example.number, INSTRUMENT, t, *force, as_published=printed)
+        for suffix, as_published in (("", True), ("-corrected", False)):
+            _, rate = published_closed_form(example.number, INSTRUMENT, t, *force, as_published=as_published)
             values[f"sign-{example.number}{suffix}"] = float(np.abs(rate - exact).max())
     force = EXAMPLES[1].force
     start, top = math.tan(0.5 * INSTRUMENT.alpha0), 2.0 * INSTRUMENT.scale_factor * force[0]
@@ -86,19 +93,6 @@ def _phase() -> dict[str, float | Value]:
         "degrees": math.degrees(constant - lead),
         "degrees-effect": float(np.abs(misread).max()),
     }
-
-
-def _platform() -> dict[str, float | Value]:
-    """G of the table, and the simulated lines of heading and roll over the formula."""
-    values: dict[str, float | Value] = {
-        "gravity": 100.0 * (0.222 / (GRAVITY_OF_TABLE * ARCMIN / CASE_RATE) - 1.0)
-    }
-    lines = last_lines(compared(wobble=False), "A")
-    for c in CHANNELS[1:]:
-        theory = formula(c.channel)
-        values[f"{c.channel}-published"] = 100.0 * (c.simulated * c.scale / theory - 1.0)
-        values[f"{c.channel}-ours"] = 100.0 * (lines[c.channel] / theory - 1.0)
-    return values
 
 
 # -- the whole reproduction ------------------------------------------------------------------------------
