@@ -44,10 +44,10 @@ def test_unknown_id_names_the_known_ones(capsys):
 
 @pytest.mark.long
 def test_out_writes_the_page(tmp_path):
-    assert exit_code("reproduce", "--only", "closed-forms", "--out", tmp_path / "new") == 0
+    assert exit_code("reproduce", "--only", "constant-input", "--out", tmp_path / "new") == 0
     page = (tmp_path / "new" / "reproduction.html").read_text(encoding="utf-8")
-    assert "closed-forms-varying" in page
-    assert "rate where form and integrator differ most" in page
+    assert "constant-input-rates" in page
+    assert "rate by form 1 where it is farthest from the integration" in page
 
 
 def test_disagreement_ends_with_exit_code_1(monkeypatch):
