@@ -266,6 +266,7 @@ def test_a_shell_completes_commands() -> None:
         (["init", "log.csv", "--yes"], "init does not ask"),
         (["ui", "--host=0.0.0.0"], "ssh -L"),
         (["platform", "simulate", "s.toml", "--every", "2"], "take every N-th row"),
+        (["records", "backup", "--store", "s"], "records export"),
     ],
 )
 def test_what_is_gone_has_its_remedy(words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -273,3 +274,8 @@ def test_what_is_gone_has_its_remedy(words: list[str], remedy: str, capsys: pyte
     assert code == 2
     assert "is gone" in err
     assert remedy in err
+
+
+def test_a_value_that_was_a_command_is_a_value(capsys: pytest.CaptureFixture[str]) -> None:
+    _, _, err = outcome(capsys, "records", "verify", "--store", "backup")
+    assert "is gone" not in err

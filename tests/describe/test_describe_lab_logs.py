@@ -86,6 +86,13 @@ def test_the_angle_of_a_head_gives_the_reference(tmp_path: Path) -> None:
     assert abs(result["k0"].value * 1e6 - 300.0) < 5.0 * result["k0"].std * 1e6
 
 
+def test_a_stand_that_is_said_keeps_its_positions() -> None:
+    log = describe_log(LOGS / "head-angle.csv")
+    alone, said = (draft_run_file(log, settings).document for settings in ({}, {"stand.kind": "dividing-head"}))
+    assert said["stand"]["positions"] == alone["stand"]["positions"]
+    assert "positions" not in draft_run_file(log, {"stand.kind": "centrifuge"}).document["stand"]
+
+
 def test_the_speed_of_a_centrifuge_gives_the_reference(tmp_path: Path) -> None:
     path, run = drafted(tmp_path, "centrifuge.csv")
     stand = tomllib.loads(path.read_text(encoding="utf-8"))["stand"]

@@ -123,11 +123,11 @@ _GONE = {
     "completion": "let the shell complete commands with: piga --install-completion",
     "calibrate --compare": "write the sets into the run file: [model] compare",
     "calibrate --phase-source": "write it into the run file: [model] phase_source",
-    **{f"records {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
+    **{f"records add {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
     "records backup": "an export of all records is one: piga records export FILE --store STORE",
-    "certificate --issued": "write the date into the file of --data: [certificate] issued; without it: today",
+    "certificate issue --issued": "write the date into the file of --data: [certificate] issued; without it: today",
     "compensate --resume": "run the same command again without it",
-    "platform --every": "take every N-th row of the Parquet file",
+    "platform simulate --every": "take every N-th row of the Parquet file",
     **dict.fromkeys(("init --yes", "init -y"), "leave it out: init does not ask"),
     **dict.fromkeys(("ui --host", "ui --tls", "ui --password-file"), _LOOPBACK),
     **dict.fromkeys(("ui --live", "ui --phase"), _STREAM),
@@ -139,8 +139,9 @@ def _run() -> None:
     """Run the command of the arguments; one that is gone is refused, with what takes its place."""
     words = [word.partition("=")[0] for word in sys.argv[1:]]
     for gone, remedy in _GONE.items():
-        command, *options = gone.split()
-        if words[:1] == [command] and set(options) <= set(words):
+        named = gone.split()
+        option = named.pop() if "-" in named[-1][:1] else ""
+        if words[: len(named)] == named and option in ("", *words[len(named) :]):
             raise ArgumentError(f"piga {gone} is gone", remedy=remedy)
     app(standalone_mode=True, prog_name="piga")
 

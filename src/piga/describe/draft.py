@@ -463,9 +463,11 @@ def put_reference(
         if "base_rate" not in draft.document["data"] and not _direct(draft):
             draft.comments["data.reference"].append(EARTH)
         return
-    if any(key == "data.reference" or key.startswith("stand.kind") for key in settings):
+    if "data.reference" in settings:
         return
     for column in (*log.of("stand-angle")[:1], *log.of("stand-speed")[:1]):
+        if settings.get("stand.kind", _STANDS[column.kind]) != _STANDS[column.kind]:
+            continue
         held = _holds(draft, log, column) if column.name in log.numbers else None
         if held is not None:
             _put_stand(draft, log, column, [f"{value:.9g} {column.unit}" for _, value in held])
@@ -515,11 +517,15 @@ def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
     )
 
 
+_STANDS = {"stand-angle": "dividing-head", "stand-speed": "centrifuge"}
+"""Stand of a column of each kind."""
+
+
 def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, values: list[str]) -> None:
     """The stand of a column: a head of its angles, or an arm of its speeds."""
     head = column.kind == "stand-angle"
     why = f"{column.name} is the {'angle' if head else 'speed'} of the stand: {column.reason}"
-    draft.put("stand.kind", "dividing-head" if head else "centrifuge", why, '  or: kind = "rate-table"')
+    draft.put("stand.kind", _STANDS[column.kind], why, '  or: kind = "rate-table"')
     mean = f"mean of {column.name} in each of {len(values)} segments, in order"
     if head:
         signs = "0 deg has X0 up; change the signs if the head turns the other way"

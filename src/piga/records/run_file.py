@@ -118,9 +118,7 @@ HeadPair = Annotated[tuple[HeadRow, ...], msgspec.Meta(min_length=2, max_length=
 
 Phases = Literal["shared", "per-segment"]
 PhaseSource = Literal["output", "input"]
-Method = Literal[
-    "information", "rate", "revolutions"
-]  # the last one stands in older files: studies.whole_turns
+Method = Literal["information", "rate", "published", "revolutions"]  # the last two stand in older files
 
 PHASES, PHASE_SOURCES, METHODS = get_args(Phases), get_args(PhaseSource), get_args(Method)[:2]
 

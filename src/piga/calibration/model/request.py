@@ -22,7 +22,7 @@ from piga.units import to_si
 
 _STUDIES = {
     "published": "piga.studies.published_recursion(run), which repeats the literature",
-    "revolutions": "piga.studies.whole_turns(run), and calibrate its turns",
+    "revolutions": "piga.calibrate(piga.studies.whole_turns(run), ['scale_factor', 'k0']): turns show no tan_beta",
 }
 """Former methods, and what does the same."""
 

@@ -472,6 +472,14 @@ def _rows(calibration: Calibration) -> Iterator[str | Doubt]:
     yield Doubt(what, "see the findings in the data") if lost > _MOVES else what
 
 
+_STATED_ELSEWHERE = {
+    "servo": "add 'servo' to [model] terms, or give [instrument] servo",
+    "height": "give the height in [stand]",
+    "earth_rate": "give [data] base_rate, or the latitude in [stand]",
+}
+"""Where a source is stated that is none of [uncertainty]."""
+
+
 def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]:
     sources = calibration.sources
     open_ones = [source for source in sources if source.status in _OPEN]
@@ -479,7 +487,11 @@ def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]
         named = ", ".join(map(_open_words, open_ones))
         what = f"{contained}; not stated: {named}{_largest_effects(calibration, open_ones)}"
         example = 'waived = { timing = "clock of the laboratory" }'
-        yield Doubt(what, f"state them in [uncertainty], or waive one with a reason: {example}")
+        names = [source.name for source in open_ones]
+        ways = [_STATED_ELSEWHERE[name] for name in names if name in _STATED_ELSEWHERE]
+        ways += ["state the others in [uncertainty]"] if ways and len(ways) < len(names) else []
+        remedy = ", ".join(ways) or "state them in [uncertainty]"
+        yield Doubt(what, f"{remedy}, or waive one with a reason: {example}")
     elif calibration.type_a_only and not sources:
         remedy = "state [uncertainty] in the run file (in Python: Run.from_arrays(uncertainty=...))"
         yield Doubt(NO_REFERENCE, remedy)
