@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
 import scipy.linalg  # noqa: F401 - brings a library of linear algebra of its own
+import threadpoolctl
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from piga import threads
 from piga.threads import one_thread
 
 
@@ -26,6 +29,28 @@ def test_one_inside_and_the_former_number_outside() -> None:
                 assert counts() == {1}
             assert counts() == {1}
         assert counts() == before
+
+
+def test_a_stop_during_the_search_for_libraries_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search runs inside a callback of C, where Python prints an interrupt and forgets it."""
+    ended = []
+
+    class Search:
+        def __init__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            ended.append(sum(range(1000)))  # Python would raise here
+
+    monkeypatch.setattr(threadpoolctl, "ThreadpoolController", Search)
+    threads._libraries.cache_clear()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt), one_thread():
+            raise AssertionError("not reached")
+        assert ended
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+        threads._libraries.cache_clear()
 
 
 CODE = """

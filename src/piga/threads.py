@@ -6,10 +6,11 @@ the processor time. Needs the package ``threadpoolctl`` (extra ``lab``); without
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
-from threading import Lock
+from threading import Lock, current_thread, main_thread
 from typing import Any
 
 _LOCK = Lock()
@@ -50,4 +51,22 @@ def _libraries() -> Any:
     import scipy.linalg  # noqa: F401 - its library of linear algebra must be there to be found
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+    with _stop_later():
+        return ThreadpoolController()
+
+
+@contextmanager
+def _stop_later() -> Iterator[None]:
+    """Hold Ctrl-C back: Python prints and forgets what is raised inside a callback of C, as the search for libraries has."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is None or current_thread() is not main_thread():
+        yield
+        return
+    stops: list[Any] = []
+    signal.signal(signal.SIGINT, lambda *stop: stops.append(stop))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if stops and callable(before):
+            before(*stops[0])

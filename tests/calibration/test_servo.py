@@ -266,6 +266,25 @@ def test_given_parameters_are_a_known_part_of_the_model_with_their_uncertainty()
     assert total == pytest.approx(calibration["servo_damping"].std)
 
 
+def test_phases_of_segments_beside_a_given_damping() -> None:
+    """The sign of the coupling is no choice there: each phase would be off by twice what the damping turns it."""
+    for seed in range(4):
+        phases = np.random.default_rng(seed).uniform(-3.0, 3.0, 12)
+        run = recorded(head(12), seconds=10.0, phases=phases, noise=2e-5, seed=seed, s=S, d=D)
+        for terms in (TERMS[:5], TERMS[:6]):
+            result = calibrate(replace(run, servo=SERVO), terms, phases="per-segment")
+            own = np.array([(c.value, c.expanded) for c in result.coefficients if c.name == "phi"])
+            away = np.angle(np.exp(1j * (own[:, 0] - phases)))
+            assert np.mean(np.abs(away) > own[:, 1]) < 0.25
+
+
+def test_a_given_servo_beside_harmonics_without_a_coupling() -> None:
+    run = replace(recorded(head(8), seconds=8.0, s=S, d=D), servo=SERVO)
+    assert calibrate(run, ["scale_factor", "k0", "s2", "c2"])["s2"].std > 0.0
+    with pytest.raises(CalibrationError, match="tan_beta"):
+        calibrate(run, ["scale_factor", "k0", "s2", "c2"], phases="per-segment")
+
+
 @pytest.mark.long
 def test_what_is_asked_for_is_estimated_even_where_it_is_given():
     wrong = (replace(SERVO[0], value=1500.0), *SERVO[1:])

@@ -142,6 +142,23 @@ def grouped(seed: int, orders: tuple[int, ...], uneven: float) -> tuple[Layout, 
     return layout, factors, truth
 
 
+def test_a_servo_with_own_phases_has_the_least_sum_of_squares() -> None:
+    """A damping of the other sign is often another minimum."""
+    keys = (("scale_factor", None), ("k0", None))
+    layout = Layout(True, (), keys, (np.arange(2),) * 3, ("servo", "servo_damping"))
+    for seed in range(20):
+        rng, parts = np.random.default_rng(seed), []
+        truth = np.array([1.0, 0.2, rng.choice([-0.3, 0.3]), 1.0, 0.1])
+        for group in range(3):
+            size = len(layout.columns) + 1
+            factor = np.triu(rng.standard_normal((size, size)), 1) + np.diag(rng.uniform(0.5, 2.0, size))
+            factor[:-1, -1] = factor[:-1, :-1] @ layout.linear(truth, rng.uniform(-3.0, 3.0), group)
+            factor[:-1, -1] += 1e-3 * rng.standard_normal(size - 1)
+            parts.append(Reduction(layout.columns, factor, 100))
+        rest = sum(part.factor[-1, -1] ** 2 for part in parts)
+        assert solve_parts(layout, parts).cost - rest < 1e-4, seed
+
+
 @pytest.mark.parametrize("orders", [(), (1,), (1, 2)])
 def test_the_best_phase_is_that_of_a_fine_grid(orders: tuple[int, ...]) -> None:
     """The cost has several minima, as narrow as a hundredth of a radian."""

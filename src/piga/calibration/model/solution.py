@@ -32,6 +32,8 @@ _SCAN = 180
 """Phases tried for each group before refinement; the cost has at most twice the highest order of minima."""
 _TRIALS = 25
 """Phases from which one phase with a servo is fitted: six in a wave of the cost."""
+_FEW = 6
+"""Most phases of which each is also tried alone, with a servo: those of a few runs."""
 _INTEGRATIONS = 50
 """Steps to the coupling with the phases integrated out; few are needed unless it is below its noise."""
 _REFINEMENTS = 8
@@ -264,7 +266,7 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
     factors, from the linear solution.
     """
     if layout.given and not layout.coupled:  # there is no phase: the mean of a given servo remains
-        plain, fixed = replace(layout, given=()), layout.turned(np.zeros(0), np.zeros(1))[0]
+        plain, fixed = replace(layout, given=()), layout.turned(np.zeros(layout.head), np.zeros(1))[0]
         for name, size in zip(layout.columns, fixed, strict=False):
             parts = [part.less(name, float(size)) for part in parts]
         rest = [part.select(tuple(n for n in part.names if n not in PHASELESS)) for part in parts]
@@ -287,62 +289,114 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
 
 
 def _solve_groups(layout: Layout, parts: list[Reduction]) -> Estimate:
-    """Solve with one phase per group and common amplitudes: least squares from the best phases of a scan.
-
-    For given amplitudes each group has its own best phase. The scan begins anew at the solution, because another minimum of a
-    phase may be deeper there.
-    """
+    """Solve with one phase per group and common amplitudes: least squares from the best phases of a scan."""
     if not layout.coupled:
         raise CalibrationError(
             "harmonics with more than one phase (phase 'per-segment', or several runs) need 'tan_beta' among the "
             "terms: it carries the phase",
             remedy="add 'tan_beta'",
         )
-    from scipy.optimize import least_squares as least_squares_from
-
-    size, local = layout.size, layout.local
-    stack = layout.stacked([part.factor[:-1] for part in parts])
-    columns, observed = stack[..., :-1], stack[..., -1]
-    turning, steady = columns[..., :local], columns[..., local:]
-
-    def missed(x: Array) -> Array:
-        turned = layout.turned(x, x[size:])
-        return (np.einsum("gml,gl->gm", turning, turned) + steady @ x[layout.head : size] - observed).ravel()
-
-    def rows(x: Array) -> Array:
-        return (columns @ layout.derivative(x, x[size:])).reshape(observed.size, -1)
-
-    def from_phases(phases: Array) -> Array:
-        fixed = rows(np.concatenate([np.zeros(size), phases]))[:, :size]
-        return np.concatenate([least_squares(fixed, observed.ravel(), 1e-14), phases])
-
-    amplitudes, best, cost = _start(layout, stack), np.zeros(0), math.inf
-    for _ in range(_STARTS):
-        if len(parts) > 1:
-            first = from_phases(_best_phases(layout, amplitudes, stack))
-        else:
-            trials = [from_phases(np.array([phase])) for phase in np.linspace(-np.pi, np.pi, _TRIALS)]
-            first = min(trials, key=lambda x: (x[0] < 0.0, float(np.sum(missed(x) ** 2))))
-        if float(np.sum(missed(first) ** 2)) >= cost * (1.0 - _DEEPER):
-            break
-        best = least_squares_from(
-            missed, first, rows, method="lm", ftol=1e-15, xtol=1e-12, gtol=1e-15, max_nfev=_STEPS
-        ).x
-        amplitudes, cost = best[:size], float(np.sum(missed(best) ** 2))
-    phases, along = best[size:], rows(best)
-    covariance = _inverse_information(np.asarray(np.linalg.qr(along, mode="r")), size)
+    size, several = layout.size, len(parts) > 1
+    problem = _Problem(layout, layout.stacked([part.factor[:-1] for part in parts]))
+    best = problem.solved()
+    amplitudes, phases, rows = best[:size], best[size:], problem.rows(best)
+    covariance = _inverse_information(np.asarray(np.linalg.qr(rows, mode="r")), size)
     jacobians = layout.jacobians(amplitudes, phases)
-    cost += sum(float(part.factor[-1, -1] ** 2) for part in parts)
+    cost = problem.cost(best) + sum(float(part.factor[-1, -1] ** 2) for part in parts)
     variance, shift = cost / max(sum(part.count for part in parts) - len(covariance), 1), np.zeros(best.size)
-    if variance > 0.0 and len(parts) > 1:
-        left, bends = missed(best).reshape(observed.shape), layout.turned(amplitudes, phases, 2)
-        bent = np.einsum("gm,gml,gl->g", left, turning, bends)
-        moved = _fitted_noise(
-            float(amplitudes[0]), np.sum(along[:, size:] ** 2, axis=0) + bent, covariance, variance
-        )
+    if variance > 0.0 and several:
+        left, bends = problem.missed(best).reshape(problem.observed.shape), layout.turned(amplitudes, phases, 2)
+        bent = np.einsum("gm,gml,gl->g", left, problem.columns[..., : layout.local], bends)
+        curvatures = np.sum(rows[:, size:] ** 2, axis=0) + bent
+        moved = _fitted_noise(float(amplitudes[0]), curvatures, covariance, variance)
         amplitudes, phases, shift = amplitudes - moved[:size], phases - moved[size:], moved / np.sqrt(variance)
     covariance = covariance + np.outer(shift, shift)
-    return Estimate(amplitudes, phases, covariance, cost, jacobians, shift=shift if len(parts) > 1 else None)
+    return Estimate(amplitudes, phases, covariance, cost, jacobians, shift=shift if several else None)
+
+
+class _Problem:
+    """Least squares of the amplitudes and of a phase for each group, ``x = [amplitudes, phases]``."""
+
+    def __init__(self, layout: Layout, stack: Array) -> None:
+        self.layout, self.stack = layout, stack
+        self.columns, self.observed = stack[..., :-1], stack[..., -1]
+
+    def missed(self, x: Array) -> Array:
+        """Modelled less observed rows."""
+        layout = self.layout
+        turned = layout.turned(x, x[layout.size :])
+        rows = np.einsum("gml,gl->gm", self.columns[..., : layout.local], turned)
+        rows += self.columns[..., layout.local :] @ x[layout.head : layout.size] - self.observed
+        return rows.ravel()
+
+    def cost(self, x: Array) -> float:
+        """Sum of squares."""
+        return float(np.sum(self.missed(x) ** 2))
+
+    def rows(self, x: Array) -> Array:
+        """Derivative of ``missed``."""
+        return (self.columns @ self.layout.derivative(x, x[self.layout.size :])).reshape(self.observed.size, -1)
+
+    def from_phases(self, phases: Array, group: slice = slice(None)) -> tuple[Array, float]:
+        """The best amplitudes, of all groups or of one, at fixed phases; with them the sum of squares."""
+        size, shape = self.layout.size, self.observed.shape
+        x = np.concatenate([np.zeros(size), phases])
+        fixed = self.rows(x).reshape(*shape, -1)[group, :, :size].reshape(-1, size)
+        right = -self.missed(x).reshape(shape)[group].ravel()
+        x[:size] = least_squares(fixed, right, 1e-14)
+        return x, float(np.sum((fixed @ x[:size] - right) ** 2))
+
+    def alone(self, group: int) -> float:
+        """Best phase of a group without the others, with a coupling that is not negative."""
+        costs = []
+        for phase in np.linspace(-np.pi, np.pi, _TRIALS):
+            x, cost = self.from_phases(np.full(len(self.stack), phase), slice(group, group + 1))
+            costs.append((x[0] < 0.0, cost, float(phase)))
+        return min(costs)[2]
+
+    def settled(self, phases: Array) -> Array:
+        """The solution from these phases. The scan begins anew at it: another minimum of a phase may be deeper there."""
+        from scipy.optimize import least_squares as least_squares_from
+
+        first, best, cost = self.from_phases(phases)[0], np.zeros(0), math.inf
+        for _ in range(_STARTS):
+            if self.cost(first) >= cost * (1.0 - _DEEPER):
+                break
+            best = least_squares_from(
+                self.missed, first, self.rows, method="lm", ftol=1e-15, xtol=1e-12, gtol=1e-15, max_nfev=_STEPS
+            ).x
+            cost = self.cost(best)
+            if len(self.stack) > 1:
+                first = self.from_phases(self.scan(best[: self.layout.size]))[0]
+        return best
+
+    def scan(self, amplitudes: Array, at: int | None = None) -> Array:
+        """Best phase of each group for amplitudes, that at ``at`` with the other sign."""
+        turned = amplitudes * np.where(np.arange(amplitudes.size) == at, -1.0, 1.0)
+        return _best_phases(self.layout, turned, self.stack)
+
+    def solved(self) -> Array:
+        """The deepest minimum that is found. A damping of the other sign may be another one."""
+        from scipy.optimize import least_squares as least_squares_from
+
+        layout, several = self.layout, len(self.stack) > 1
+        starts = [self.scan(_start(layout, self.stack))] if several else []
+        if layout.servo_columns and len(self.stack) <= _FEW:
+            starts.append(np.array([self.alone(group) for group in range(len(self.stack))]))
+        best = min((self.settled(phases) for phases in starts), key=self.cost)
+        if "servo_damping" in layout.servo and several:
+            other = self.settled(self.scan(best[: layout.size], layout.head - 1))
+            best = other if self.cost(other) < self.cost(best) * (1.0 - _DEEPER) else best
+        if (
+            "servo_damping" in dict(layout.given) and best[0] < 0.0
+        ):  # the sign of the coupling is no choice then
+            first = self.from_phases(self.scan(best[: layout.size], 0) if several else best[layout.size :])[0]
+            first[0] = max(first[0], -best[0])
+            least = np.where(np.arange(best.size) == 0, 0.0, -np.inf)
+            best = least_squares_from(
+                self.missed, first, self.rows, bounds=(least, np.inf), x_scale="jac", xtol=1e-12
+            ).x
+        return best
 
 
 def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance: float) -> Array:
@@ -371,7 +425,7 @@ def _fitted_noise(fitted: float, curvatures: Array, covariance: Array, variance:
 def _start(layout: Layout, stack: Array) -> Array:
     """Amplitudes of a fit with free local columns in every group; the coupling is the mean of the groups that show it."""
     local = layout.local
-    free = stack[:, local:, local:].reshape(-1, len(layout.keys) + 1)
+    free = stack[:, layout.turning :, local:].reshape(-1, len(layout.keys) + 1)  # without a servo
     shared = least_squares(free[:, :-1], free[:, -1], 1e-12)
     right = stack[:, :2, -1] - stack[:, :2, local:-1] @ shared
     sizes = np.abs(np.diagonal(stack[:, :2, :2], axis1=1, axis2=2))
