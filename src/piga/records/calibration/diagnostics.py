@@ -487,9 +487,8 @@ def _unstated(calibration: Calibration, contained: str) -> Iterator[str | Doubt]
         named = ", ".join(map(_open_words, open_ones))
         what = f"{contained}; not stated: {named}{_largest_effects(calibration, open_ones)}"
         example = 'waived = { timing = "clock of the laboratory" }'
-        names = [source.name for source in open_ones]
-        ways = [_STATED_ELSEWHERE[name] for name in names if name in _STATED_ELSEWHERE]
-        ways += ["state the others in [uncertainty]"] if ways and len(ways) < len(names) else []
+        ways = [_STATED_ELSEWHERE[one.name] for one in open_ones if one.name in _STATED_ELSEWHERE]
+        ways += ["state the others in [uncertainty]"] if 0 < len(ways) < len(open_ones) else []
         remedy = ", ".join(ways) or "state them in [uncertainty]"
         yield Doubt(what, f"{remedy}, or waive one with a reason: {example}")
     elif calibration.type_a_only and not sources:
@@ -517,10 +516,8 @@ def _largest_effects(calibration: Calibration, sources: list[StandSource]) -> st
         if source.status == "unstated" and (c := named.get(key))
     ]
     effects.sort(key=lambda effect: -effect[0])
-    words = [
-        f"{text.removesuffix(' 1').replace('e-0', 'e-')}, {size:.2g} u" for size, text in effects[:EXAMPLES]
-    ]
-    return f". {'; '.join(words)}" if words else ""
+    words = "; ".join(f"{text.removesuffix(' 1')}, {size:.2g} u" for size, text in effects[:EXAMPLES])
+    return f". {words}".replace("e-0", "e-") if words else ""
 
 
 def _not_tested(calibration: Calibration) -> Iterator[str]:
