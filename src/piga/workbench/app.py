@@ -134,12 +134,8 @@ class Guard:
                     headers.setdefault(name, value)
             await send(message)
 
-        if scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})
-        elif scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-        else:
-            await (self._refusal(HTTPConnection(scope)) or self._app)(scope, receive, sent)
+        refusal = self._refusal(HTTPConnection(scope)) if scope["type"] == "http" else None
+        await (refusal or self._app)(scope, receive, sent)  # a websocket is closed there: no page has one
 
     def _refusal(self, asked: HTTPConnection) -> Response | None:
         door, headers = self._door, asked.headers

@@ -166,27 +166,34 @@ def _certificate(request: Request, sent: Sent) -> Response:
 
 
 def _asked(
-    request: Request, sent: Sent, title: str, words: str, field: Field, link: str = ""
-) -> str | Response:
-    """What was sent for a field; else the page that asks for it."""
-    field = field.with_sent(sent) if sent else field
-    if sent and not field.refusal:
-        return field.value
-    return _form(request, title, words, {"": [field]}, 422 if sent else 200, link=link)
+    request: Request, sent: Sent, title: str, words: str, fields: list[Field], link: str = ""
+) -> Sent | Response:
+    """What was sent for the fields; else the page that asks for it."""
+    asked = [field.with_sent(sent) if sent else field for field in fields]
+    if sent and not any(field.refusal for field in asked):
+        return {field.key: field.value for field in asked}
+    return _form(request, title, words, {"": asked}, 422 if sent else 200, link=link)
 
 
 def _compensation(request: Request, sent: Sent) -> Response:
     bench, of = bench_of(request), request.query_params.get("of", "")
     folder, calibration = bench.folder, f"{kept_of(bench, of).name}/{CALIBRATION}"
-    words = f"The cross-coupling is taken off a record with {of}. Phase of the output zero, other rates, CSV: piga compensate."
+    words = f"The cross-coupling is taken off a record with {of}. Other rates and CSV: piga compensate."
     runs = tuple((entry.name, entry.name) for entry in folder.entries() if entry.state == "ready")
-    name = _asked(request, sent, "Compensate", words, Field("run", "record", choices=runs))
-    if isinstance(name, Response):
-        return name
-    run = folder.toml(name)
+    phase = Field(
+        "phase", "phase of the output zero, if it is known", "0.48 rad", like="rad", units=("rad", "deg")
+    )
+    rest = Field(
+        "identify-phase", "or: estimate it from the first stretch at rest", "60 s", like="s", units=("s",)
+    )
+    asked = _asked(request, sent, "Compensate", words, [Field("run", "record", choices=runs), phase, rest])
+    if isinstance(asked, Response):
+        return asked
+    run = folder.toml(asked["run"])
     out = run.with_name(f"{run.stem}-compensated.parquet")
     command = ["compensate", folder.name(run), "--calibration", calibration, "--out", folder.name(out)]
     command += ["--report", folder.name(out.with_suffix(".html")), "--force"]
+    command += [f"--{one.key}={asked[one.key]}" for one in (phase, rest) if asked[one.key]]
     return start(request, command, "Compensate", folder.name(run), folder.name(out))
 
 
@@ -197,11 +204,11 @@ def _plan(request: Request, sent: Sent) -> Response:
     bench, kept = bench_of(request), kept_of(bench_of(request), request.query_params.get("of", ""))
     words = "Positions of a dividing head, and the uncertainty that they give. Example values can be changed as text afterwards."
     hours = Field("hours", "time at the stand", "2130 s", like="s", units=("s", "min", "h"), needed=True)
-    duration = _asked(request, sent, "Plan the test", words, hours, f"/text?example={_PLAN}")
-    if isinstance(duration, Response):
-        return duration
+    asked = _asked(request, sent, "Plan the test", words, [hours], f"/text?example={_PLAN}")
+    if isinstance(asked, Response):
+        return asked
     document: Any = tomlkit.parse(example_files()[_PLAN].decode("utf-8"))
-    document["plan"]["duration"] = duration
+    document["plan"]["duration"] = asked["hours"]
     document["instrument"]["serial"] = kept.calibration.serial
     document["instrument"]["scale_factor"] = f"{kept.K:.9g} {kept.unit}"
     name = bench.folder.free(bench.folder.root, f"plan-{plain_name(kept.calibration.serial)}", ".toml").name

@@ -1,8 +1,7 @@
-"""Solve the summaries: linear estimate, one phase or one per phase group, covariance, named coefficients.
+"""Solve the summaries: one phase or one per phase group, covariance, named coefficients.
 
-Without the phase, the linear parameters are ``[local of group 0, local of group 1, ..., shared]``. If several groups share
-tan_beta and the harmonics, separable least squares on the triangular factors imposes this, starting from the linear
-solution. Names and file units are applied last.
+Without the phase the model is linear. One phase without a servo follows from its linear solution. Several phases, or a servo,
+need nonlinear least squares on the triangular factors. Names and file units are applied last.
 """
 
 from __future__ import annotations
@@ -262,8 +261,7 @@ def merged_groups(summaries: list[Reduction], groups: tuple[int, ...]) -> list[R
 def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
     """Estimate from one summary per phase group; the groups may be of different runs.
 
-    Linear, and exact, for one group or without local columns; otherwise separable least squares on the triangular
-    factors, from the linear solution.
+    Linear, and exact, for one group without a servo, or without local columns; otherwise least squares on the triangular factors.
     """
     if layout.given and not layout.coupled:  # there is no phase: the mean of a given servo remains
         plain, fixed = replace(layout, given=()), layout.turned(np.zeros(layout.head), np.zeros(1))[0]
