@@ -119,7 +119,13 @@ def check_unpacked(path: Path, unpacked: int) -> None:
 
 def toml_bytes(path: Path) -> bytes:
     """The bytes of a TOML file."""
-    return read_whole(path, _MOST_TOML_BYTES, "the TOML file, not the data file", RunFileError)
+    with open_regular(path, "the TOML file, not the data file", RunFileError) as stream:
+        data = stream.read(_MOST_TOML_BYTES + 1)
+    if len(data) > _MOST_TOML_BYTES:
+        words = f"{path}: is not a run file or another TOML file: these have a few kilobytes"
+        remedy = "give a TOML file; for the log of a test 'piga init' drafts the run file"
+        raise RunFileError(words, remedy=remedy, where=Where(path))
+    return data
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:

@@ -54,6 +54,15 @@ def test_an_uncertainty_that_the_stand_does_not_have_is_refused_before_the_fit(t
     assert words in message
 
 
+def test_a_stand_beside_logged_columns_is_said_not_to_be_the_reference(tmp_path: Path) -> None:
+    path = copy_example(tmp_path)
+    path.write_text(
+        f"{path.read_text()}\n[stand]\nkind = 'dividing-head'\nlatitude = '40 deg'\npositions = ['0 deg']\n"
+    )
+    text = " ".join(run("check", path)[1].split())
+    assert "of the logged columns; [stand] is used for the uncertainties alone" in text
+
+
 def test_convert_keeps_units_and_findings(tmp_path: Path) -> None:
     path = dirty(tmp_path)
     run("convert", path, "--out", tmp_path / "clean.parquet")

@@ -39,6 +39,11 @@ def small_run(folder: Path, name: str = "run.csv") -> Path:
     return write_run(folder, name, data='segment = "seg"')
 
 
+def test_a_test_of_tomorrow_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(piga.PigaError, match="measured: '2190-01-01' is in the future"):
+        prepare_run(small_run(tmp_path), "A. Meyer", "yearly", measured="2190-01-01")
+
+
 @pytest.mark.long
 def test_keep_and_reproduce(tmp_path: Path) -> None:
     run = small_run(tmp_path)

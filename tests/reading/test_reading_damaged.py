@@ -232,7 +232,8 @@ def signals() -> list[Case]:
         repair("sequence-gap", seq, {"sequence-gap": 1, "gap": 1}, used=37, data=sequence),
         error("one-row", text(rows(1)), "fewer than two usable rows"),
         error("time-stands", changed(lambda b: [r.__setitem__(0, "1.0") for r in b]), "column .t. repeats itself in most rows"),
-        error("all-missing", changed(lambda b: [r.__setitem__(1, "nan") for r in b]), "no row has all"),
+        error("all-missing", changed(lambda b: [r.__setitem__(1, "nan") for r in b]), "no row is left.*missing-value: 40"),
+        error("all-settling", text(rows()), "no row is left.*the first 60 s of each position.*settle", data="settle = '60 s'"),
     ]  # fmt: skip
 
 

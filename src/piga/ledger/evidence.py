@@ -28,6 +28,7 @@ import numpy as np
 from piga._version import __version__
 from piga.errors import CalibrationError, RunFileError, StoreError
 from piga.ledger.store import Draft, DraftFile, Record
+from piga.ledger.store.documents import check_measured
 from piga.output import check_results
 from piga.reading.columns import stand_files
 from piga.records.calibration import document as record_file
@@ -125,6 +126,8 @@ def prepare_run(
     PigaError
         If the run cannot be calibrated.
     """
+    if measured is not None:
+        check_measured(measured)
     if results is None:
         from piga.calibration.calibrate import calibrate
         from piga.stand import read_run

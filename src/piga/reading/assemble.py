@@ -170,7 +170,11 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         early = (t - t[begins][np.cumsum(begins) - 1] < seconds) & (raw.segment >= 0)
         raw.leave_out("settling", early, f"the first {seconds:g} s of each position are not used")
     if not raw.usable.any():
-        raise raw.refusal("no row has all needed values", "check the columns in [data]")
+        left_out = (f"; {event.kind}: {event.count} rows, {event.detail}" for event in raw.events)
+        remedy = (
+            "shorten [data] settle" if data.settle is not None else "check the columns and limits in [data]"
+        )
+        raise raw.refusal(f"no row is left to use{''.join(left_out)}", remedy)
     _leave_out_repeats(raw, t)
     return raw.keep_usable(t)
 

@@ -84,7 +84,7 @@ def page(run: Run, prospects: Sequence[TermProspect] = ()) -> Page:
         Tile("Findings", f"{found}", "kind" if found == 1 else "kinds", "", "doubtful" if found else "good"),
         Tile("Recorded", f"{run.duration:.6g}", "s", f"{int(run.begins.sum())} stretches, {rate(run):.6g} Hz"),
         Tile("Segments", f"{len(run.labels)}", "", "" if run.direct else f"phase {kept}"),
-        Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", "specific force |f|"),
+        Tile("Reference", f"{size.min():.6g} to {size.max():.6g}", "g", _reference(run)),
         Tile("Calibration", run.estimation.method, "", _calibration(run)[0]),
     )
     findings = quality_table(quality) if quality.events else Notice("good", "Nothing was found.")
@@ -137,6 +137,15 @@ def check_document(record: Run, prospects: Sequence[TermProspect] = ()) -> dict[
         "input_sha256": record.input_sha256,
         **({"terms": [prospect.document() for prospect in prospects]} if prospects else {}),
     }
+
+
+def _reference(run: Run) -> str:
+    """Where the reference comes from, in words."""
+    if run.stand is None:
+        return "specific force |f|"
+    if run.computed_reference:
+        return "specific force |f|, computed from [stand]"
+    return "specific force |f| of the logged columns; [stand] is used for the uncertainties alone"
 
 
 def rate(run: Run) -> float:

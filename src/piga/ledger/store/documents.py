@@ -14,7 +14,7 @@ import secrets
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -231,6 +231,13 @@ def check_record(document: RecordDocument) -> None:
         check_label(file.role, "the role of a file")
     if len({file.name for file in document.files}) != len(document.files):
         raise ArgumentError("files: two have the same name", remedy="give each file a name of its own")
+
+
+def check_measured(text: str) -> None:
+    """Refuse a time of the test that is not a date, or that is to come. In other zones a day begins earlier."""
+    _check_moment("measured", text)
+    if moment(text) > datetime.now(UTC) + timedelta(days=1):
+        raise ArgumentError(f"measured: '{text}' is in the future", remedy="give the date of the test")
 
 
 def _check_moment(name: str, text: str) -> None:
