@@ -1,15 +1,17 @@
 """What a record does: a stand, a platform; and that it is what a user gets by hand."""
 
 import json
+from dataclasses import replace
 
 import msgspec
 import pytest
 
 import piga
 from piga.campaign import collect, open_campaign, read_campaign
-from piga.campaign.subjects import compute
+from piga.campaign.subjects import _seen, compute
 from piga.cli.main import app
 from tests.campaign.small import ROOT, STAND, collected, computed, find, rows, written
+from tests.reports.example import calibration
 
 EXAMPLES = ROOT / "examples" / "campaigns"
 CAMPAIGN = """
@@ -73,6 +75,25 @@ def test_what_a_calibration_reports_is_counted(tmp_path):
     seen = compute(plan, find(plan, 0, 0)).seen
     assert "random walk" in seen
     assert any(name.startswith("suggested: ") for name in seen)
+
+
+@pytest.mark.parametrize(
+    ("change", "doubted"),
+    [
+        ({}, False),
+        ({"notes": ("the residuals show a bias drift (k0_t); the scatter of the segments may be the same",)}, False),
+        ({"diagnostics": {"segment_scatter_ratio": 2.5}}, True),
+        ({"diagnostics": {"verdict": "not white", "ljung_box_probability": 1e-9, "variance": 1.0, "lag1_correlation": 0.6}}, True),
+    ],
+)  # fmt: skip
+def test_a_doubt_about_the_noise_is_known_by_its_data(change, doubted):
+    """The words of a doubt about a missing term are not read."""
+    cal = calibration(phases="per-segment", with_residuals=False)
+    changed = {
+        name: replace(cal.diagnostics, **part) if name == "diagnostics" else part
+        for name, part in change.items()
+    }
+    assert ("doubt about the noise" in _seen(replace(cal, **changed))) == doubted
 
 
 def test_seeds_of_the_platform_scatter_with_the_noise(tmp_path):

@@ -40,17 +40,17 @@ WORST = 12
 class CampaignCoefficient(msgspec.Struct, frozen=True):
     """The figures of one coefficient or quantity in one group; what is not known is None.
 
-    ``coverage_std_error`` is that of a binomial share. ``bias`` is the mean error, ``spread`` the standard deviation of the errors,
-    both in ``unit``. ``nees`` is the mean square of the errors over standard uncertainties, ``nees_expected`` its expected value
-    for Student's t.
-    For quantities without truth, ``mean``, ``std``, ``lowest`` and ``highest`` describe the results.
+    ``coverage_std_error`` is that of a binomial share of 0.95. ``bias`` is the mean error, ``spread`` the standard deviation of
+    the errors, both in ``unit``. ``nees`` is the mean square of the errors over standard uncertainties, ``nees_expected`` its
+    expected value for Student's t.
+    For quantities without truth, ``mean``, ``standard_deviation``, ``lowest`` and ``highest`` describe the results.
     """
 
     name: str
     unit: str
     tests: int
     mean: float
-    std: float | None
+    standard_deviation: float | None
     lowest: float
     highest: float
     coverage: float | None = None
@@ -66,11 +66,10 @@ class CampaignCoefficient(msgspec.Struct, frozen=True):
 
     @property
     def coverage_off(self) -> float:
-        """Coverage less its target, over the standard error of a sound share; 0 if it is not known."""
-        if self.coverage is None:
-            return 0.0
-        p = PROBABILITY
-        return (self.coverage - p) / math.sqrt(p * (1.0 - p) / self.tests)
+        """Coverage less its target, in standard errors; 0 if it is not known."""
+        return (
+            0.0 if self.coverage is None else (self.coverage - PROBABILITY) / (self.coverage_std_error or 1.0)
+        )
 
 
 class Miss(msgspec.Struct, frozen=True):
@@ -175,7 +174,7 @@ def collect(campaign: Campaign) -> Collected:
     groups, z = _group_results(campaign, heads, rows), _numbers(rows, "z")
     failures = _failures(campaign, heads)
     return Collected(
-        schema="piga.campaign.collected/2",
+        schema="piga.campaign.collected/3",
         campaign=plan.path.name,
         title=plan.file.campaign.title or plan.path.stem,
         version=manifest.software.get("piga", ""),
@@ -264,15 +263,14 @@ def _std(values: Array) -> float | None:
 def _coefficient(name: str, unit: str, rows: dict[str, Array]) -> CampaignCoefficient:
     """The figures of one coefficient from the columns of its rows."""
     value = rows["value"]
-    plain: dict[str, Any] = {"mean": float(value.mean()), "std": _std(value)}
-    plain |= {"lowest": float(value.min()), "highest": float(value.max())}
+    ends = {"lowest": float(value.min()), "highest": float(value.max())}
+    plain: dict[str, Any] = {"mean": float(value.mean()), "standard_deviation": _std(value)} | ends
     known = np.isfinite(rows["deviation"])
     if not known.any():
         return CampaignCoefficient(name, unit, value.size, **plain)
     off, low, high = (rows[column][known] for column in ("deviation", "low", "high"))
     truth, tests, bias, spread = value[known] - off, off.size, float(off.mean()), _std(off)
     hits = int(((low <= truth) & (truth <= high)).sum())
-    share = min(max(hits, 0.5), tests - 0.5) / tests  # of 0 and 1 that of half a test, or its error would be 0
     mean_u2 = _mean(rows["u"] ** 2)
     scaled = np.isfinite(rows["z"])
     z, degrees = rows["z"][scaled], rows["degrees_of_freedom"][scaled]
@@ -282,7 +280,7 @@ def _coefficient(name: str, unit: str, rows: dict[str, Array]) -> CampaignCoeffi
         value.size,
         **plain,
         coverage=hits / tests,
-        coverage_std_error=math.sqrt(share * (1.0 - share) / tests),
+        coverage_std_error=math.sqrt(PROBABILITY * (1.0 - PROBABILITY) / tests),
         bias=bias,
         bias_std_error=None if spread is None else spread / math.sqrt(tests),
         bias_over_sigma=bias / spread if spread else None,

@@ -86,9 +86,10 @@ def _tone(c: CampaignCoefficient) -> Tone:
 # --- tables ------------------------------------------------------------------------------------------
 
 _LEAD = (
-    "Coverage is the share of 95 % intervals that hold the true value, with its binomial standard error. It is marked where "
-    "it is away from 95 %. Bias is the mean error over the spread of the errors. NEES is the mean square of the errors over "
-    "their standard uncertainties. The expected value of Student's t stands beside it."
+    "Coverage is the share of 95 % intervals that hold the true value, with the binomial standard error of a share of 95 %. "
+    f"It is marked where it is more than {CHANCE:g} standard errors away from 95 %. Bias is the mean error over the spread of the "
+    "errors. NEES is the mean square of the errors over their standard uncertainties. The expected value of Student's t stands "
+    "beside it."
 )
 
 
@@ -132,7 +133,7 @@ def _plain_table(result: GroupResult) -> Table:
     return (
         _coefficients(result)
         .number("Mean", lambda c: _number(c, c.mean))
-        .number("Std", lambda c: _number(c, c.std))
+        .number("Standard deviation", lambda c: _number(c, c.standard_deviation))
         .number("Lowest", lambda c: _number(c, c.lowest))
         .number("Highest", lambda c: _number(c, c.highest))
         .table(result.label, (_count(result),))
@@ -199,7 +200,7 @@ def _coverage_figure(judged: list[GroupResult]) -> Figure:
     points = [(r, c) for r in judged for c in r.coefficients if c.coverage is not None]
     x = np.arange(1, len(points) + 1, dtype=float)
     share = np.array([100 * (c.coverage or 0.0) for _, c in points])
-    error = np.array([200 * (c.coverage_std_error or 0.0) for _, c in points])
+    error = np.array([100 * CHANCE * (c.coverage_std_error or 0.0) for _, c in points])
     off = np.array([_tone(c) != "" for _, c in points])
     text = np.array([f"{r.label}: {c.name}" for r, c in points])
     plot = Plot(
@@ -212,5 +213,5 @@ def _coverage_figure(judged: list[GroupResult]) -> Figure:
             names = tuple(text[chosen].tolist())
             plot.points(x[chosen], share[chosen], name, role, error=error[chosen], text=names)
     return plot.caption(
-        "One point for each coefficient of each group, with two standard errors. Good: the bars touch the line."
+        f"One point for each coefficient of each group, with {CHANCE:g} standard errors. Good: the bars touch the line."
     )

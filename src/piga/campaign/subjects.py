@@ -15,6 +15,7 @@ import numpy as np
 from piga.campaign.campaign_file import CampaignPlan, RecordName
 from piga.errors import PigaWarning
 from piga.records.calibration.coefficient import changes
+from piga.records.calibration.diagnostics import SCATTER
 from piga.results import Array
 from piga.stand.scenario import Scenario, run_scenario
 from piga.text_files import toml_text
@@ -83,17 +84,13 @@ def of_calibration(calibration: Calibration, truth: Array) -> Outcome:
     return Outcome(columns, nees, expected, _seen(calibration))
 
 
-_NOISE_WORDS = ("drift", "scatter", "not white")
-"""A doubt with one of these words warns of the noise of the record."""
-
-
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """Kinds of noise that a calibration reports, terms that it suggests, and a doubt about the noise."""
-    doubts = [doubt.what for doubt in calibration.verdict.doubts]
+    scatters = calibration.diagnostics.worst > SCATTER
     noise = {
         "random walk": calibration.angle_random_walk > 0.0,
         "scatter of the segments": calibration.segment_scatter > 0.0,
-        "doubt about the noise": any(word in doubt for doubt in doubts for word in _NOISE_WORDS),
+        "doubt about the noise": scatters or any(doubt.noise for doubt in calibration.verdict.doubts),
     }
     missing = calibration.diagnostics.missing_terms
     suggested = dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing)

@@ -11,7 +11,7 @@ from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import Layout, at_phase
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient, short_way
-from piga.records.calibration.diagnostics import SegmentScatter
+from piga.records.calibration.diagnostics import SCATTER, SegmentScatter
 from piga.records.run import Run
 from piga.records.terms import harmonic, unit_of
 from piga.results import Array
@@ -24,8 +24,6 @@ NAMED_WEIGHT = 0.3
 """Weight in a null direction, relative to the largest, above which a term is named."""
 _USELESS = 0.05
 """Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result."""
-_SCATTER = 2.0
-"""Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported."""
 _ALIKE = 0.95
 """Correlation above which coefficients are reported as hard to tell apart."""
 
@@ -252,13 +250,13 @@ def scatter_in_words(scatter: SegmentScatter, *, direct: bool = False) -> tuple[
     notes = []
     force, own = scatter.segment_scatter_g or 0.0, "instrument" if direct else "servo"
     ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
-    if ratio > _SCATTER:
+    if ratio > SCATTER:
         notes.append(
             f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
             f"({force * 1e6:.2g} ug rms): the stand or the {own} has an effect that the model lacks; the "
             "standard uncertainties include the scatter, but not what is the same at every visit of a position"
         )
-    elif without_it > _SCATTER:
+    elif without_it > SCATTER:
         notes.append(
             f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
             f"{'output' if direct else 'angle'} explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "

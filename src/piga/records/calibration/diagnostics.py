@@ -243,7 +243,7 @@ class SegmentScatter:
 
     @property
     def worst(self) -> float:
-        """The larger ratio; 0 if there is none."""
+        """The larger ratio; 0 if there is none. It is a doubt above :data:`SCATTER`."""
         return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
@@ -299,6 +299,8 @@ _LARGE_RESIDUAL = 0.01745
 """Root mean square of the residuals [rad] (one degree) above which a fit must explain something (own choice)."""
 _EXPLAINS = 0.7071
 """Ratio [1] of the residuals after and before the fit at which it explains half of their variance."""
+SCATTER = 2.0
+"""Ratio of the scatter of the segments' mean rates to the expected scatter above which it is reported."""
 _OPEN = "unstated", "assumed"
 EXAMPLES = 3
 """Most effects of sources that are not stated which the verdict names."""
@@ -306,11 +308,12 @@ EXAMPLES = 3
 
 @dataclass(frozen=True)
 class Doubt:
-    """A doubt and its remedy. If it is ``grave``, the coefficients must not be used as they are."""
+    """A doubt and its remedy. If it is ``grave``, the coefficients must not be used as they are; ``noise``: it is about noise."""
 
     what: str
     remedy: str = ""
     grave: bool = False
+    noise: bool = False
 
     @property
     def words(self) -> str:
@@ -434,13 +437,14 @@ def _whiteness(calibration: Calibration) -> Iterator[str | Doubt]:
     elif within and neighbours > _CORRELATED:
         size = math.sqrt((1.0 + neighbours) / max(1.0 - neighbours, 1e-3))
         small = f"intervals from the noise within one position are about {size:.2g} times too small"
-        yield Doubt(f"{what}: {small}", remedy)
+        yield Doubt(f"{what}: {small}", remedy, noise=True)
     elif tests.verdict != COUNTED:
         yield f"{what}: the intervals come from the scatter of the positions, which contains it; {remedy}"
     rms = math.sqrt(tests.variance)
     if modelled and abs(rms - 1.0) > _RMS_FROM_ONE:
         what = f"the whitened residuals have a root mean square of {rms:.3f} instead of 1"
-        yield Doubt(what, "check the noise levels that were given, and the residuals of single segments")
+        remedy = "check the noise levels that were given, and the residuals of single segments"
+        yield Doubt(what, remedy, noise=True)
 
 
 def _creep(calibration: Calibration) -> Iterator[str]:
