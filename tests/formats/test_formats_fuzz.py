@@ -12,7 +12,7 @@ import pytest
 
 import piga
 from piga.formats.columns import ParquetStream
-from piga.formats.container import CONTAINERS
+from piga.formats.container import columns_stream
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from tests.records.containers import WRITERS, columns
@@ -92,7 +92,7 @@ def test_mutated_containers(tmp_path: Path, name: str) -> None:
         warnings.simplefilter("ignore")
         for _ in range(70 * SCALE):
             path.write_bytes(mutated(source, draw))
-            outcome(lambda: CONTAINERS[path.suffix](path, NAMES, None))
+            outcome(lambda: columns_stream(path, NAMES, None))
 
 
 FOLDER = Path(__file__).parent / "findings"
@@ -107,7 +107,7 @@ def read(path: Path) -> object:
         return list(TextStream(path, NAMES, None).chunks())
     if path.suffix == ".parquet":
         return list(ParquetStream(path, NAMES, None).chunks())
-    return CONTAINERS[path.suffix](path, NAMES, None)
+    return columns_stream(path, NAMES, None)
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from piga.describe.columns import (
 )
 from piga.errors import DataError, PigaError
 from piga.formats.columns import FileChunk, RecordStream
-from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
+from piga.formats.container import TEXT_SUFFIXES, Sheet, columns_stream, file_kind
 from piga.formats.text.convention import (
     COMMENT,
     GUESSED,
@@ -42,7 +42,7 @@ from piga.formats.text.convention import (
     unit_text,
     units_in_names,
 )
-from piga.formats.text.reader import TextStream, is_number, split_cells
+from piga.formats.text.reader import is_number, split_cells
 from piga.formats.text.time_stamp import forms_of
 from piga.results import Array
 from piga.text_files import open_regular
@@ -118,14 +118,16 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
     stamp = next(stamps, None)
     read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
-    stream = TextStream(
+    sheet = layout.facts.get("data.sheet")
+    stream = columns_stream(
         path,
         read,
         label,
+        sheet.value if sheet else None,
+        layout.rows,
         separator=form.separator,
         decimal=form.decimal,
         encoding=form.encoding,
-        rows=layout.rows,
         mask_damaged=True,
         stamp=stamp,
     )
@@ -182,10 +184,9 @@ def _collected(
 
 def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     """A log in another format than text: every column of numbers is read. Guesses go by short names without units."""
-    listed = _columns_by_sheet(path)
-    sheet = max(listed, key=lambda one: known_names(listed[one]))
-    names, units = _short_names(listed[sheet], file_kind(path))
-    numbers, stated = _numbers_of(path, sheet, list(names))
+    listed = _columns_in(path)
+    names, units = _short_names(listed, file_kind(path))
+    numbers, stated = _numbers_of(path, list(names))
     full = {short: name for name, short in names.items()}
     told = {full.get(name, name): kind for name, kind in told.items()}
     label = _label_column(names, {name: ["x"] for name in names}, told)
@@ -193,16 +194,12 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     if label is not None and numbers:
         whole = (name for name, column in numbers.items() if np.isfinite(column).all())
         other = next(whole, next(iter(numbers)))
-        stream = columns_stream(path, (other,), label, sheet)
+        stream = columns_stream(path, (other,), label)
         codes, labels = _collected(stream, (other,))[1], stream.label_names
     fills = without_fills(numbers, tuple(numbers))
     columns = guess_columns(names, units | stated, {}, numbers, told)
-    columns += [ColumnGuess(n, "other", "it is in another group") for n in listed[sheet] if n not in names]
-    facts = {}
-    if len(listed) > 1:
-        others = tuple(one for one in listed if one != sheet)
-        facts["data.sheet"] = Guess(sheet, f"the sheet with the most known names of {len(listed)}", others)
-    return LogDescription(path, None, tuple(columns), facts, numbers, codes, tuple(labels), fills)
+    columns += [ColumnGuess(n, "other", "it is in another group") for n in listed if n not in names]
+    return LogDescription(path, None, tuple(columns), {}, numbers, codes, tuple(labels), fills)
 
 
 def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dict[str, str]]:
@@ -222,51 +219,34 @@ def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dic
     return short, {name: units[one] for name, one in short.items() if one in units}
 
 
-def _numbers_of(path: Path, sheet: str | None, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values and units of the columns that hold numbers. Those that a refusal names are read again, one by one.
-
-    One word in some cells of a sheet marks a missing value.
-    """
+def _numbers_of(path: Path, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
+    """Values and units of the columns that hold numbers. Those that a refusal names are read again, one by one."""
     numbers: dict[str, Array] = {}
     units: dict[str, str] = {}
-    parts: list[tuple[list[str], tuple[str, ...]]] = [(names, ())]
-    for part, missing in parts:  # grows in the loop
+    parts = [names]
+    for part in parts:  # grows in the loop
         try:
-            stream = columns_stream(path, tuple(part), sheet=sheet, missing=missing)
-            read = _collected(stream, tuple(part))[0]
+            stream = columns_stream(path, tuple(part))
+            numbers |= _collected(stream, tuple(part))[0]
+            units |= stream.units
         except PigaError as error:
-            word = next((fix.value for fix in error.fixes if fix.key == "missing"), ())
             if len(part) > 1:
                 refused = [name for name in part if error.where is None or name in error.where.columns] or part
-                parts += [(rest, ()) for rest in [[name for name in part if name not in refused]] if rest]
-                parts += [([name], ()) for name in refused]
-            elif word and not missing:
-                parts.append((part, tuple(word)))
-            continue
-        if not missing or np.mean(np.isnan(read[part[0]])) <= _MOST_WORDS:
-            numbers |= read
-            units |= stream.units
+                parts += [rest for rest in [[name for name in part if name not in refused]] if rest]
+                parts += [[name] for name in refused]
     return {name: numbers[name] for name in names if name in numbers}, units
 
 
-def _columns_by_sheet(path: Path) -> dict[str | None, tuple[str, ...]]:
-    """Names of all columns of a container; of a spreadsheet with several sheets by sheet.
-
-    The refusal of a column that no file has lists the columns, or the sheets.
-    """
-
-    def refusal(sheet: str | None) -> DataError:
-        try:
-            columns_stream(path, (_NO_COLUMN,), sheet=sheet)
-        except DataError as error:
-            return error
-        return DataError(f"{path}: no columns", remedy="check that this is the log")
-
-    first = refusal(None)
-    sheets: list[str | None] = [fix.value for fix in first.fixes if fix.key == "sheet"]
-    if not sheets and not first.columns:
-        raise first
-    return {sheet: refusal(sheet).columns for sheet in sheets} or {None: first.columns}
+def _columns_in(path: Path) -> tuple[str, ...]:
+    """Names of all columns of a container: the refusal of a column that no file has lists them."""
+    error = DataError(f"{path}: no columns", remedy="check that this is the log")
+    try:
+        columns_stream(path, (_NO_COLUMN,))
+    except DataError as refused:
+        error = refused
+    if not error.columns:
+        raise error
+    return error.columns
 
 
 # -- layout of a text log --------------------------------------------------------------------------------
@@ -304,7 +284,9 @@ class TextLayout:
 
 
 def text_layout(path: Path) -> TextLayout:
-    """Guess the layout of a text log from its first lines."""
+    """Guess the layout of a text log, or of the sheet with the most known names, from the first lines."""
+    if file_kind(path) == ".xlsx":
+        return _sheet_layout(path)
     first = TextSource(path, None).encoding
     tried = sorted(GUESSED, key=lambda one: one != first) if first in GUESSED else [first]
     heads: dict[str, str] = {}
@@ -321,6 +303,31 @@ def text_layout(path: Path) -> TextLayout:
     return replace(best, guesses=best.guesses | {"encoding": Guess(best.form.encoding, why, others)})
 
 
+def _sheet_layout(path: Path) -> TextLayout:
+    names: list[str | None] = [None]
+    try:
+        Sheet(path)
+    except DataError as error:
+        names = [fix.value for fix in error.fixes] or names
+    layouts = {}
+    for name in names:
+        with suppress(DataError) if len(names) > 1 else nullcontext():  # another sheet has the table
+            layouts[name] = _layout(Sheet(path, name).head.decode(), path, "utf-8", "\t")
+    if not layouts:
+        remedy = "check that this is the log"
+        raise DataError(f"{path}: no sheet has a table of numbers", remedy=remedy)
+    best = max(layouts, key=lambda one: known_names(layouts[one].form.names))
+    guesses = {key: one for key, one in layouts[best].guesses.items() if key not in ("delimiter", "decimal")}
+    facts = layouts[best].facts
+    if best is not None:
+        why, others = (
+            f"the sheet with the most known names of {len(names)}",
+            tuple(one for one in names if one != best),
+        )
+        facts["data.sheet"] = Guess(best, why, others)
+    return replace(layouts[best], guesses=guesses, facts=facts)
+
+
 @dataclass(frozen=True)
 class _TextTable:
     """A table of numbers in some lines: its separator, first data line, cells of a line, rows, and cells that are values."""
@@ -332,9 +339,9 @@ class _TextTable:
     values: int
 
 
-def _layout(head: str, path: Path, encoding: str) -> TextLayout:
+def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SEPARATORS) -> TextLayout:
     lines = lines_of(head)[:_MOST_HEAD_LINES]
-    tables = [table for separator in SEPARATORS if (table := _table(lines, separator)) is not None]
+    tables = [table for separator in separators if (table := _table(lines, separator)) is not None]
     if not tables:
         raise DataError(
             f"{path}: no table of numbers in the first {len(lines)} rows",

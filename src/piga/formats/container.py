@@ -1,4 +1,6 @@
-"""Open a data file of any format. HDF5, MATLAB, TDMS and XLSX are read whole: a table of the wanted columns, of limited size.
+"""Open a data file of any format. HDF5, MATLAB and TDMS are read whole: a table of the wanted columns, of limited size.
+
+A sheet (XLSX) is turned into lines of text and read as a text file is.
 
 HDF5 data, including MATLAB v7.3, are read only from the file itself and with built-in filters. No plug-in is ever loaded.
 """
@@ -8,8 +10,9 @@ from __future__ import annotations
 import math
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import datetime, time, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -25,22 +28,11 @@ from piga.formats.columns import (
     ParquetStream,
     RecordStream,
     TableStream,
-    column_letter,
     no_column,
     refusal,
 )
-from piga.formats.text.convention import (
-    INFINITE,
-    MISSING,
-    NO_UNIT,
-    check_present,
-    is_units_row,
-    joined_names,
-    single_names,
-    unit_text,
-    units_in_names,
-)
-from piga.formats.text.reader import Fault, Faults, TextStream, missing_hint
+from piga.formats.text.convention import HeadRows, joined_names, units_in_names
+from piga.formats.text.reader import TextStream
 from piga.tables import Column, arrow_table
 from piga.text_files import check_unpacked, first_line, open_regular
 
@@ -74,50 +66,46 @@ def label_text(value: object) -> str:
     return str(value).strip()
 
 
+@contextmanager
+def _library(path: Path, name: str, remedy: str) -> Iterator[None]:
+    """Turn an error of the library that reads a format into one of the file."""
+    try:
+        yield
+    except PigaError:
+        raise
+    except ImportError as error:
+        extra = EXTRAS[str(error.name).split(".")[0]]
+        words = f"reading {name} needs the extra '{extra}', which is not installed"
+        raise refusal(path, words, f"install it with: {install_command(extra)}") from None
+    except MemoryError:
+        words = "there is not enough memory to read it"
+        raise refusal(path, words, "the file is damaged, or export it as Parquet") from None
+    except Exception as error:  # a damaged file can raise any exception in the library
+        raise refusal(path, f"not a readable {name} file ({first_line(error)})", remedy) from None
+
+
 class Container(TableStream):
     """The named columns of a file that is read whole.
 
     A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`read` opens the file and gives the columns to
-    :meth:`take`. ``sheet`` and ``missing`` are for spreadsheets: name of the sheet, and words that mean a missing value.
+    :meth:`take`.
     """
 
     name = remedy = ""
 
-    def __init__(
-        self,
-        path: Path,
-        numeric: Iterable[str],
-        label: str | None = None,
-        sheet: str | None = None,
-        missing: tuple[str, ...] = (),
-    ) -> None:
+    def __init__(self, path: Path, numeric: Iterable[str], label: str | None = None) -> None:
         RecordStream.__init__(self, path, numeric, label)
-        self.sheet, self.missing = sheet, missing
         open_regular(path, "the file; [data] file is relative to the run file").close()
-        try:
+        with _library(path, self.name, self.remedy):
             self.read()
-        except PigaError:
-            raise
-        except ImportError as error:
-            extra = EXTRAS[str(error.name).split(".")[0]]
-            words = f"reading {self.name} needs the extra '{extra}', which is not installed"
-            raise self.refusal(words, f"install it with: {install_command(extra)}") from None
-        except MemoryError:
-            remedy = "the file is damaged, or export it as Parquet"
-            raise self.refusal("there is not enough memory to read it", remedy) from None
-        except Exception as error:  # a damaged file can raise any exception in the library
-            words = f"not a readable {self.name} file ({first_line(error)})"
-            raise self.refusal(words, self.remedy) from None
 
     def read(self) -> None:
         """Read the file."""
         raise NotImplementedError
 
-    def refusal(
-        self, words: str, remedy: str, *columns: str, row: int | None = None, fixes: Sequence[Fix] = ()
-    ) -> DataError:
-        """The error of the file: :func:`refusal`."""
-        return refusal(self.path, words, remedy, *columns, row=row, fixes=fixes)
+    def refusal(self, words: str, remedy: str, *columns: str) -> DataError:
+        """The error of the file."""
+        return refusal(self.path, words, remedy, *columns)
 
     def vector(self, name: str, values: NDArray) -> NDArray:
         """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix."""
@@ -404,19 +392,45 @@ def _times(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
 
 _MOST_HEAD = 100
 """Rows of a sheet within which the column names must stand."""
-_Row = tuple[int, tuple[Any, ...]]
-"""Number and cells of a row."""
+_ODD_SIGNS = re.compile(r'[\t\r\n"]')
+"""What would end a cell or a line of text."""
 
 
-class Xlsx(Container):
-    """The named columns of a sheet. The names stand in the first row that holds all of them. Dates become seconds."""
+class Sheet:
+    """A sheet as lines of text, a tab between the cells: it is read as a text file is. Dates become seconds.
 
-    name, remedy = "XLSX", "save it again as .xlsx, without a password"
+    ``sheet`` is its name; None: the only one.
+    """
 
-    def read(self) -> None:
-        """Read the sheet."""
-        if self.path.with_name(f"~${self.path.name}").exists():
-            raise self.refusal("is open in a spreadsheet program", "close it there, then try again")
+    encoding, cut = "utf-8", False
+
+    def __init__(self, path: Path, sheet: str | None = None) -> None:
+        self.path = path
+        self._first_day: datetime | None = None
+        if path.with_name(f"~${path.name}").exists():
+            raise refusal(path, "is open in a spreadsheet program", "close it there, then try again")
+        with _library(path, "XLSX", "save it again as .xlsx, without a password"):
+            rows = [[self._text(cell) for cell in row] for row in self._rows(sheet)]
+        width = max(map(len, rows), default=0)
+        lines = ("\t".join([*row, *[""] * (width - len(row))]) if any(row) else "" for row in rows)
+        self.head = "".join(f"{line}\n" for line in lines).encode()
+
+    def pieces(self, skip: int) -> Iterator[bytes]:
+        """All lines, without the first ``skip``."""
+        yield b"".join(self.head.splitlines(keepends=True)[skip:])
+
+    def names_row(self, wanted: Iterable[str]) -> int | tuple[int, int] | None:
+        """The first row that holds all wanted names, counted from 1, or the two rows over which these stand; None without one."""
+        single = [tuple(line.split("\t")) for line in self.head.decode().split("\n")[:_MOST_HEAD]]
+        for at, names in enumerate(single, 1):
+            if {*wanted} <= {*names, *units_in_names(names)[0]}:
+                return at
+        for at, names in enumerate((joined_names(above, names) for above, names in pairwise(single)), 1):
+            if {*wanted} <= {*names, *units_in_names(names)[0]}:
+                return at, at + 1
+        return None
+
+    def _rows(self, name: str | None) -> Iterator[tuple[Any, ...]]:
         import openpyxl
 
         with open_regular(self.path) as stream:
@@ -424,134 +438,44 @@ class Xlsx(Container):
                 check_unpacked(self.path, sum(part.file_size for part in container.infolist()))
             stream.seek(0)
             book = openpyxl.load_workbook(stream, read_only=True, data_only=True, keep_links=False)
-            rows = enumerate(self._sheet(book).iter_rows(values_only=True), 1)
-            self._read_rows([(at, row) for at, row in rows if any(cell is not None for cell in row)])
+            sheets = {sheet.title: sheet for sheet in book.worksheets}
+            listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
+            fixes = [Fix("data", "sheet", title) for title in sheets]
+            if name is None and len(sheets) > 1:
+                words, remedy = (
+                    f"there are {len(sheets)} sheets: {listed}",
+                    "add [data] sheet = '...' with one of them",
+                )
+                raise refusal(self.path, words, remedy, fixes=fixes)
+            if not sheets or (name is not None and name not in sheets):
+                words = f"no sheet '{name}'; the sheets are: {listed}"
+                raise refusal(self.path, words, "correct [data] sheet", fixes=fixes)
+            sheet = sheets[name] if name is not None else next(iter(sheets.values()))
+            sheet.reset_dimensions()
+            yield from sheet.iter_rows(values_only=True)
 
-    def _sheet(self, book: Any) -> Any:
-        sheets, name = {sheet.title: sheet for sheet in book.worksheets}, self.sheet
-        listed = ", ".join(f"'{title}'" for title in list(sheets)[:20])
-        fixes = [Fix("data", "sheet", title) for title in sheets]
-        if name is None and len(sheets) > 1:
-            remedy = "add [data] sheet = '...' with one of them"
-            raise self.refusal(f"there are {len(sheets)} sheets: {listed}", remedy, fixes=fixes)
-        if not sheets or (name is not None and name not in sheets):
-            words = f"no sheet '{name}'; the sheets are: {listed}"
-            raise self.refusal(words, "correct [data] sheet", fixes=fixes)
-        sheet = sheets[name] if name is not None else next(iter(sheets.values()))
-        sheet.reset_dimensions()
-        return sheet
-
-    def _read_rows(self, rows: list[_Row]) -> None:
-        """The columns of the rows of a sheet. Bad cells are collected and reported together."""
-        if not rows:
-            raise self.refusal("the sheet is empty", "check [data] sheet")
-        place, header = self._header(rows[:_MOST_HEAD])
-        at, row = rows[place]
-        if all(not isinstance(cell, str) for cell in row if cell is not None):
-            remedy = "add a row with the column names above the numbers"
-            raise self.refusal("the first row holds numbers, not column names", remedy, row=at)
-        names, units = units_in_names(single_names(header))
-        check_present(self.path, at, self.wanted, names)
-        following = [[*_texts(row)] for _, row in rows[place + 1 : place + 3]]
-        body = rows[place + 1 :]
-        if following and is_units_row(following[0], *following[1:]):
-            body, written = body[1:], zip(names, map(unit_text, following[0]), strict=False)
-            units |= {name: unit for name, unit in written if name and unit not in NO_UNIT}
-        columns = self._cells(body, {name: names.index(name) for name in self.wanted})
-        if not body:
-            raise self.refusal("a header but no data", "check that the logger wrote data")
-        self.take(columns.__getitem__, units)
-        self.rows = np.array([number for number, _ in body])
-        for name in self.numeric:  # an empty cell is a missing value
-            empty = np.flatnonzero(np.isnan(columns[name]))
-            if empty.size:
-                self._missing[name] = empty.size, int(self.rows[empty[0]])
-
-    def _cells(self, body: list[_Row], places: dict[str, int]) -> dict[str, Any]:
-        cells, faults = _Cells({*MISSING, *INFINITE, *self.missing}), Faults()
-        columns: dict[str, list[Any]] = {name: [] for name in places}
-        for number, row in body:
-            for name, place in places.items():
-                value = row[place] if place < len(row) else None
-                value = cells.number(value) if name in self.numeric else value
-                if isinstance(value, Fault):
-                    where = f"row {number}, column '{name}' ({column_letter(place)}): "
-                    faults.add(number, value._replace(words=where + value.words, column=name))
-                columns[name].append(value)
-        if faults.total:
-            remedy = "set the format of these cells to number and enter them again; dates: export seconds"
-            raise faults.error(self.path, remedy)
-        return {
-            name: np.array(cells, float if name in self.numeric else object) for name, cells in columns.items()
-        }
-
-    def _header(self, head: list[_Row]) -> tuple[int, tuple[str, ...]]:
-        """Index of the row of the column names, and the names: the first row, or two rows, that hold all wanted names.
-
-        Else the row that looks most like it.
-        """
-        single = [_texts(row) for _, row in head]
-        double = [joined_names(above, names) for above, names in pairwise(single)]
-        for place, names in (*enumerate(single), *enumerate(double, 1)):
-            if set(self.wanted) <= {*names, *units_in_names(names)[0]}:
-                return place, names
-        words = [sum(isinstance(cell, str) for cell in row) for _, row in head]
-        numbers = [sum(isinstance(cell, (int, float)) for cell in row) for _, row in head]
-        begin = next((k for k, count in enumerate(numbers) if count > 1), 0)
-        wide = [k for k in range(begin) if words[k] > 1 and 2 * words[k] >= max(words[:begin])]
-        if len(wide) > 1 and is_units_row([*single[wide[-1]]], [*single[begin]]):
-            wide.pop()
-        place = wide[-1] if wide else 0
-        names = single[place]
-        each = words[place - 1] == len(single[place - 1]) == len(names)
-        if place - 1 in wide and (len(set(names)) < len(names) or "" in names or each):  # names over two rows
-            return place, double[place - 1]
-        return place, names
-
-
-def _texts(row: tuple[Any, ...]) -> tuple[str, ...]:
-    return tuple("" if cell is None else str(cell).strip() for cell in row)
-
-
-class _Cells:
-    """Converts cells to numbers. Times are seconds since the midnight before the first date, or of a time of day or duration."""
-
-    def __init__(self, empty: set[str]) -> None:
-        self._empty = empty
-        self._first_day: datetime | None = None
-
-    def number(self, cell: Any) -> float | Fault:
-        """The number, nan for an empty cell, or the fault of the cell."""
-        if isinstance(cell, (int, float)) and not isinstance(cell, bool):
-            return float(cell)
-        if isinstance(cell, (datetime, time, timedelta)):
-            return self._seconds(cell)
-        text = "" if cell is None else str(cell).strip()
-        if cell is None or (isinstance(cell, str) and text in self._empty):
-            return float("nan")
-        with suppress(ValueError):  # a date and a time as text
-            return self._seconds(datetime.fromisoformat(text if ":" in text else ""))
-        word = isinstance(cell, str)
-        words = f"'{text[:40]}' is {'text' if word else type(cell).__name__}, not a number"
-        hint, fixes = missing_hint(text) if word and not text[0].isdigit() else ("", ())
-        return Fault("not-a-number", words, hint, fixes)
-
-    def _seconds(self, cell: datetime | time | timedelta) -> float:
-        if isinstance(cell, timedelta):
-            return cell.total_seconds()
-        if isinstance(cell, time):
-            return cell.hour * 3600.0 + cell.minute * 60.0 + cell.second + cell.microsecond * 1e-6
-        if self._first_day is None:
-            self._first_day = cell.replace(hour=0, minute=0, second=0, microsecond=0)
-        return (cell - self._first_day).total_seconds()
+    def _text(self, cell: Any) -> str:
+        """A cell as text. Times are seconds since the midnight before the first date, or of a time of day or duration."""
+        if isinstance(cell, str) and ":" in cell:
+            with suppress(ValueError):  # a date and a time as text
+                cell = datetime.fromisoformat(cell.strip())
+        if isinstance(cell, datetime):
+            self._first_day = self._first_day or cell.replace(hour=0, minute=0, second=0, microsecond=0)
+            cell -= self._first_day
+        elif isinstance(cell, time):
+            cell = timedelta(
+                hours=cell.hour, minutes=cell.minute, seconds=cell.second, microseconds=cell.microsecond
+            )
+        cell = cell.total_seconds() if isinstance(cell, timedelta) else cell
+        return _ODD_SIGNS.sub(" ", label_text(cell))
 
 
 CONTAINERS: dict[str, type[Container]] = {
-    ".h5": Hdf5, ".hdf5": Hdf5, ".hdf": Hdf5, ".mat": Mat, ".tdms": Tdms, ".xlsx": Xlsx,
+    ".h5": Hdf5, ".hdf5": Hdf5, ".hdf": Hdf5, ".mat": Mat, ".tdms": Tdms,
 }  # fmt: skip
 """Readers of containers by the ending of the file name."""
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn")
-"""Endings of separated text. ``.lvm`` is written by LabVIEW."""
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn", ".xlsx")
+"""Endings of separated text. ``.lvm`` is written by LabVIEW. A sheet is read as text."""
 
 
 def columns_stream(
@@ -559,22 +483,28 @@ def columns_stream(
     numeric: tuple[str, ...],
     segment: str | None = None,
     sheet: str | None = None,
-    missing: tuple[str, ...] = (),
+    rows: HeadRows | None = None,
     **text: Any,
 ) -> RecordStream:
     """Open the number columns ``numeric`` and the segment column of a data file.
 
-    ``sheet`` names the sheet of a spreadsheet, ``missing`` further words that mean a missing value. ``text`` holds options of
+    ``sheet`` names the sheet of a spreadsheet. ``rows`` and ``text`` are options of
     :class:`piga.formats.text.reader.TextStream`.
     """
-    kind = file_kind(path)
+    kind, rows = file_kind(path), rows or HeadRows()
+    if kind == ".xlsx":
+        source = Sheet(path, sheet)
+        if rows.header is None:
+            rows = replace(rows, header=source.names_row([*numeric, *([segment] if segment else [])]))
+        text |= {"separator": "\t", "decimal": "."}
+        return TextStream(path, numeric, segment, rows=rows, source=source, **text)
     if kind in TEXT_SUFFIXES:
-        return TextStream(path, numeric, segment, missing=missing, **text)
+        return TextStream(path, numeric, segment, rows=rows, **text)
     if kind in (".parquet", ".pq"):
         return ParquetStream(path, numeric, segment)
     if kind in CONTAINERS:
-        return CONTAINERS[kind](path, numeric, segment, sheet, missing)
-    remedy = f"give .csv, .csv.gz, .parquet or one of {', '.join(CONTAINERS)}"
+        return CONTAINERS[kind](path, numeric, segment)
+    remedy = f"give .csv, .csv.gz, .xlsx, .parquet or one of {', '.join(CONTAINERS)}"
     if kind in (".xls", ".xlsm", ".xlsb", ".ods"):
         remedy = "open it in the spreadsheet program and save it as .xlsx or .csv"
     raise DataError(f"{path}: piga does not read files of kind '{kind}'", remedy=remedy)

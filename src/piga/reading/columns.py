@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
+from piga.formats.text.convention import HeadRows
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
@@ -38,28 +39,26 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
         raise refusal(path, "[data] sheet is for .xlsx files", "leave it out")
+    rows = HeadRows(data.skip_rows, data.header_row, data.units_row)
     if kind in TEXT_SUFFIXES:
-        from piga.formats.text.convention import HeadRows
-
         return columns_stream(
             path,
             *columns,
+            data.sheet,
+            rows,
             separator=data.delimiter,
             decimal=data.decimal,
             encoding=data.encoding,
-            rows=HeadRows(data.skip_rows, data.header_row, data.units_row),
             stamp=(data.time.column, stamp) if data.time and stamp else None,
             missing=data.missing,
             mask_damaged=data.damaged_rows == "mask",
         )
-    units = data.units_row is not None
-    for key, given in (("skip_rows", data.skip_rows), ("header_row", data.header_row), ("units_row", units)):
-        if given:
-            raise refusal(path, f"[data] {key} is for text files", "leave it out")
+    if rows != HeadRows():
+        raise refusal(path, "[data] skip_rows, header_row and units_row are for text files", "leave them out")
     if stamp is not None:
-        remedy = "give unit = 's': dates and time stamps of Parquet and XLSX are read as seconds; text in a cell is not"
+        remedy = "give unit = 's': dates and time stamps of Parquet are read as seconds"
         raise refusal(path, "[data] time: stamp is for text files", remedy)
-    return columns_stream(path, *columns, data.sheet, data.missing)
+    return columns_stream(path, *columns)
 
 
 @dataclass

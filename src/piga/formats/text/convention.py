@@ -250,7 +250,8 @@ def units_in_names(names: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, s
             units[match.group(1)] = match.group(2)
         else:
             plain.append(name)
-    return (tuple(plain), units) if len(set(plain)) == len(plain) else (names, {})
+    filled = [name for name in plain if name]
+    return (tuple(plain), units) if len(set(filled)) == len(filled) else (names, {})
 
 
 def _is_unit(text: str) -> bool:

@@ -49,7 +49,7 @@ class TextStream(RecordStream):
     ``separator``, ``decimal``, ``encoding`` and ``rows`` are those of the run file; None: detected from the file. ``stamp``:
     name and form of a number column that holds time stamps. It is given in seconds since the first midnight. ``missing``:
     further words that mean a missing value. ``mask_damaged``: leave damaged rows out and count them by kind, instead of
-    refusing the file.
+    refusing the file. ``source``: the lines, in place of those of the file, as :class:`TextSource` gives them.
     """
 
     def __init__(
@@ -65,11 +65,12 @@ class TextStream(RecordStream):
         stamp: tuple[str, str] | None = None,
         missing: tuple[str, ...] = (),
         mask_damaged: bool = False,
+        source: Any = None,
     ) -> None:
         super().__init__(path, numeric, label)
         self._empty = {*MISSING, *INFINITE, *missing}
         rows = rows or HeadRows()
-        self._source = TextSource(path, encoding, wanted=self.wanted, first_rows=rows.last)
+        self._source = source or TextSource(path, encoding, wanted=self.wanted, first_rows=rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
         self._form = find_format(head, path, self._source.encoding, separator, decimal, rows)
         self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))
