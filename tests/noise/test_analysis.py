@@ -101,3 +101,13 @@ def test_what_is_refused(tmp_path, record):
     with pytest.raises(DataError, match="no column holds the time"):
         read_static_log(tmp_path / "two.csv", column="U")
     assert read_static_log(tmp_path / "two.csv", column="U", sample_rate="5 Hz").samples == 6000
+
+
+def test_a_rate_that_contradicts_the_log_is_refused(tmp_path, record):
+    """It replaced the time of the log in silence; where both agree to rounding, that of the log counts."""
+    rate, t = record
+    log = tmp_path / "log.csv"
+    np.savetxt(log, np.column_stack((t, rate)), delimiter=",", header="t [s],rate [V]", comments="")
+    assert read_static_log(log, sample_rate="5.01 Hz").step == pytest.approx(STEP)
+    with pytest.raises(ArgumentError, match=r"--sample-rate 20 Hz, but the time in the log gives 5 Hz"):
+        read_static_log(log, sample_rate="20 Hz")

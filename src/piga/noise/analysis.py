@@ -27,6 +27,7 @@ from piga.records.run import examine_time
 from piga.records.run_file import DataTable
 from piga.results import Array, Plotted, Reported, Result
 from piga.text_files import converted
+from piga.units import to_si
 from piga.upper import doors
 
 
@@ -195,7 +196,7 @@ def read_static_log(
     column, kind, unit:
         Column of the output, what it holds, and the unit of its values. Without ``unit`` that of the file is shown.
     sample_rate:
-        With unit, e.g. ``"20 Hz"``, if no column holds the time.
+        With unit, e.g. ``"20 Hz"``, if no column holds the time; a log with a time of another rate is refused.
 
     Raises
     ------
@@ -218,9 +219,8 @@ def read_static_log(
             scale_factor=run.scale_factor, source=str(path), input_sha256=run.input_sha256,
         )  # fmt: skip
     described = describe_log(path)
-    names = [one.name for one in described.columns]
-    timed = {one.name for one in described.columns if one.kind in ("time", "date", "segment", "sequence")}
     if column is None:
+        timed = {one.name for one in described.columns if one.kind in ("time", "date", "segment", "sequence")}
         others = [name for name in described.numbers if name not in timed]
         if len(others) != 1:
             may = ", ".join(others[:20]) or "no column of numbers is left"
@@ -228,30 +228,32 @@ def read_static_log(
                 f"{path}: the column of the output is not known; it may be: {may}", remedy="name it: --column"
             )
         column = others[0]
-    if column not in names:
-        raise no_column(path, column, names, remedy="correct --column")
-    guess = next(one for one in described.columns if one.name == column)
+    units = {one.name: "" if one.unwritten else one.unit for one in described.columns}
+    if column not in units:
+        raise no_column(path, column, list(units), remedy="correct --column")
     data = draft_run_file(described, folder=path.parent).document["data"]
     layout = {key: value for key, value in data.items() if key in _LAYOUT}
-    if sample_rate is not None:
-        layout = {key: value for key, value in layout.items() if key != "time"} | {"sample_rate": sample_rate}
+    if sample_rate is not None and not {"time", "sample_rate"} & layout.keys():
+        layout["sample_rate"] = sample_rate
     if not {"time", "sample_rate"} & layout.keys():
         raise DataError(
             f"{path}: no column holds the time", remedy="give the rate of the samples: --sample-rate"
         )
     table = converted(layout | {"output": {"column": column, "kind": "counts"}}, DataTable)
     values, t, digests = read_series(path.parent, table, (column,))
-    shown = unit or ("" if guess.unwritten else guess.unit) or "1"
-    return analyse_noise(
-        values,
-        t,
-        kind=kind,
-        unit=f"{shown}/s" if kind == "angle" else shown,
-        source=str(path),
-        input_sha256=digests,
-    )
+    shown = unit or units[column] or "1"
+    unit = f"{shown}/s" if kind == "angle" else shown
+    noise = analyse_noise(values, t, kind=kind, unit=unit, source=str(path), input_sha256=digests)
+    if sample_rate is not None and abs(noise.step * to_si(sample_rate, "Hz") - 1.0) > _AS_STATED:
+        raise ArgumentError(
+            f"{path}: --sample-rate {sample_rate}, but the time in the log gives {1.0 / noise.step:.6g} Hz",
+            remedy="leave --sample-rate out, or write a run file with [data] sample_rate, which leaves the log's time unread",
+        )
+    return noise
 
 
+_AS_STATED = 0.01
+"""Largest relative difference of a given rate of the samples from that of the log: rounding of the time."""
 _LAYOUT = (
     "file", "time", "sample_rate", "delimiter", "decimal", "encoding", "skip_rows", "header_row", "units_row", "sheet",
     "missing",

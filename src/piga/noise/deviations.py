@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import pairwise
 from typing import Literal
 
@@ -109,7 +109,16 @@ def allan_deviation(
     ArgumentError
         If the arrays differ in length.
     """
-    stretches, step = _even_stretches(np.asarray(angle, float), np.asarray(t, float), begins)
+    angle, t = np.asarray(angle, float), np.asarray(t, float)
+    if not angle.size == t.size == begins.size:
+        raise ArgumentError(
+            f"angle, t, begins: {angle.size}, {t.size} and {begins.size} samples",
+            remedy="give one angle and one mark for each time",
+        )
+    steps = np.diff(t)[~begins[1:]]
+    step = float(np.median(steps)) if steps.size else 1.0
+    edges = [0, *(np.flatnonzero(begins[1:]) + 1).tolist(), t.size]
+    stretches = [_even(angle[a:b], t[a:b], step) for a, b in pairwise(edges)]
     most = (max((x.size for x in stretches), default=0) - 1) // 3
     if factors is None:
         count = int(_PER_DECADE * math.log10(most)) + 1 if most >= 1 else 0
@@ -134,25 +143,6 @@ def allan_deviation(
         stretches=counts.astype(np.int64),
         kind=kind,
     )
-
-
-def _even_stretches(angle: Array, t: Array, begins: NDArray[np.bool_]) -> tuple[list[Array], float]:
-    """The stretches of an angle at even steps, each without the line through its ends, and the step [s].
-
-    Raises
-    ------
-    ArgumentError
-        If the arrays differ in length.
-    """
-    if not angle.size == t.size == begins.size:
-        raise ArgumentError(
-            f"angle, t, begins: {angle.size}, {t.size} and {begins.size} samples",
-            remedy="give one angle and one mark for each time",
-        )
-    steps = np.diff(t)[~begins[1:]]
-    step = float(np.median(steps)) if steps.size else 1.0
-    edges = [0, *(np.flatnonzero(begins[1:]) + 1).tolist(), t.size]
-    return [_even(angle[a:b], t[a:b], step) for a, b in pairwise(edges)], step
 
 
 @lru_cache(maxsize=1024)
@@ -186,7 +176,8 @@ def equivalent_degrees(
     for exponent, variance in noise:
         smooth = float(m) if exponent > 0 else min(float(m), _FINEST)
         scale = variance / abs(float(_covariance(np.zeros(1), smooth, exponent, 2)[0]))
-        covariance += scale * _covariance(lags / m, 1.0 if kind == "modified" else smooth, exponent, order)
+        one = _covariance(lags / m, 1.0 if kind == "modified" else smooth, exponent, order)
+        covariance += scale * math.copysign(1.0, one[0]) * one
     weights = np.gradient(lags) if lags.size > 1 else np.ones(1)
     weights[[0, -1]] = 0.5 * np.diff(lags)[[0, -1]] if lags.size > 1 else 0.5
     squares = (covariance / covariance[0]) ** 2
@@ -194,23 +185,18 @@ def equivalent_degrees(
 
 
 def _covariance(lag: Array, smooth: float, exponent: int, order: int) -> Array:
-    """Autocovariance of the differences of this order of the smoothed angle (``sz`` of [Greenhall2003])."""
+    """Autocovariance of the differences of this order of the smoothed angle, up to its sign (``sz`` of [Greenhall2003])."""
+
+    def generalised(at: Array) -> Array:  # ``sw``, table 1
+        size = np.abs(at)
+        return size ** (3 - exponent) * (np.log(np.where(size > 0.0, size, 1.0)) if exponent % 2 else 1.0)
+
     total = np.zeros_like(lag)
     for k in range(-order, order + 1):
         at = lag + k
-        part = 2.0 * _generalised(at, exponent)
-        part -= _generalised(at - 1.0 / smooth, exponent) + _generalised(at + 1.0 / smooth, exponent)
+        part = 2.0 * generalised(at) - generalised(at - 1.0 / smooth) - generalised(at + 1.0 / smooth)
         total += (-1.0) ** k * math.comb(2 * order, order + k) * smooth**2 * part
     return total
-
-
-def _generalised(lag: Array, exponent: int) -> Array:
-    """Generalised autocovariance of the angle, up to a factor (``sw`` of [Greenhall2003], table 1)."""
-    size = np.abs(lag)
-    sign = -1.0 if exponent in (2, -1, -2) else 1.0
-    if exponent % 2 == 0:
-        return sign * size ** (3 - exponent)
-    return sign * size ** (3 - exponent) * np.log(np.where(size > 0.0, size, 1.0))
 
 
 def _even(angle: Array, t: Array, step: float) -> Array:
@@ -352,6 +338,8 @@ def noise_levels(
 
     share = mean([part.share for part in parts])
     columns = np.column_stack([mean([_columns(p.share, step)[k] for p in parts]) for k in range(len(SOURCES))])
+    scale = 1.0 / np.sqrt((columns**2).sum(axis=0))
+    columns *= scale
     model, drift = mean([part.value**2 for part in parts]), 0.0
     for _ in range(_ROUNDS):
         if not model.min() + _SMALL * model.mean() > rounding**2:
@@ -367,24 +355,27 @@ def noise_levels(
         bends = mean([line**2 for _, line, _ in freed])
         cross = mean([line * (c - drift * line) for c, line, _ in freed])
         square = mean([(c - drift * line) ** 2 + lost for c, line, lost in freed]) + bends / information
-        fit = _Fit(columns, square, count)
-        squares = fit.best()
+        fit = _Fit(square, count)
+        squares, best = fit.best(columns)
         before, model = model, columns @ squares
         if np.abs(model - before).max() <= _SMALL * model.max():
             break
-    frequency = share / (2.0 * step)
-    misfit = _misfit(frequency, square / model, count)
-    most = _most(frequency, columns, square, count)
-    levels = []
+    frequency, levels = share / (2.0 * step), []
+    misfit, most = _judged(frequency, columns, square, model, count)
     for k, name in enumerate(SOURCES):
-        lower, upper = fit.interval(k, squares)
+        lower, upper = fit.interval(columns, k, squares)
         if misfit is not None:
             lines = name == "quantisation"  # of counts of a steady output: some bands are empty
             lower, upper = lower if lines or lower < most[k] else 0.0, max(upper, most[k])
-        levels.append(NoiseLevel(name, *map(math.sqrt, (squares[k], lower, upper))))
+        levels.append(NoiseLevel(name, *(math.sqrt(one * scale[k]) for one in (squares[k], lower, upper))))
+
+    def above(off: float) -> float:
+        """Likelihood of a drift that is off by this much, above that of the ends of its interval."""
+        return _Fit(square - 2.0 * off * cross + off**2 * bends, count).best(columns)[1] - best + _FALL
+
     unit = 1.0 / math.sqrt(information)
-    off = [_fall(partial(fit.moved, cross * sign, bends), unit) for sign in (-1.0, 1.0)]
-    levels.append(NoiseLevel("drift", drift, drift - off[0], drift + off[1]))
+    lower, upper = (drift + sign * _fall(lambda off: above(sign * off), unit) for sign in (-1.0, 1.0))  # noqa: B023
+    levels.append(NoiseLevel("drift", drift, lower, upper))
     return tuple(levels), NoiseSpectrum(frequency, square * step, model * step, count, misfit)
 
 
@@ -460,90 +451,71 @@ def _fall(above: Callable[[float], float], unit: float, start: float = 0.0) -> f
 class _Fit:
     """Likelihood of means of squares, each of ``count`` normal values whose variance is a sum of columns."""
 
-    def __init__(self, columns: Array, square: Array, count: Array) -> None:
-        self.scale = 1.0 / np.sqrt((columns**2).sum(axis=0))
-        self.columns, self.square, self.count = columns * self.scale, square, count
+    def __init__(self, square: Array, count: Array) -> None:
+        self.square, self.count = square, count
         self.least = max(1e-15 * float(square.max(initial=0.0)), 1e-300)
 
-    def best(self, start: Array | None = None, fixed: int | None = None) -> Array:
-        """Squared levels of the largest likelihood, none below zero. The ``fixed`` one stays as in ``start``.
+    def best(self, columns: Array, given: Array | float = 0.0, start: Array | None = None) -> tuple[Array, float]:
+        """Factors of the columns of the largest likelihood, none below zero, and its logarithm.
 
-        Scoring: least squares with the weights of the spectrum before, whose equations are those of the maximum. A step
-        that lowers the likelihood is halved.
+        ``given`` is a part of the variance that stays. Scoring: least squares with the weights of the spectrum before,
+        whose equations are those of the maximum. A step that lowers the likelihood is halved.
         """
         from scipy.optimize import nnls
 
-        free = np.arange(self.scale.size) != fixed
-        squares = np.zeros(self.scale.size) if start is None else start / self.scale
-        model = self.square if start is None else self.columns @ squares
-        before = -math.inf if start is None else self.likelihood(start)
+        squares = np.zeros(columns.shape[1]) if start is None else start
+        model = self.square if start is None else columns @ squares + given
+        before = -math.inf if start is None else self.likelihood(model)
         for _ in range(_ROUNDS):
             root = np.sqrt(self.count) / np.maximum(model, self.least)
-            held = self.columns[:, ~free] @ squares[~free]
-            new = squares.copy()
-            new[free] = nnls(self.columns[:, free] * root[:, None], (self.square - held) * root)[0]
-            now = self.likelihood(new * self.scale)
+            new = nnls(columns * root[:, None], (self.square - given) * root)[0]
+            now = self.likelihood(columns @ new + given)
             for _ in range(_HALVINGS):
                 if now >= before:
                     break
                 new = 0.5 * (new + squares)
-                now = self.likelihood(new * self.scale)
+                now = self.likelihood(columns @ new + given)
             if now - before <= _SMALL:
                 break
-            squares, model, before = new, self.columns @ new, now
-        return squares * self.scale
+            squares, model, before = new, columns @ new + given, now
+        return squares, before
 
-    def likelihood(self, squares: Array) -> float:
+    def likelihood(self, model: Array) -> float:
         """Logarithm of the likelihood, up to a constant."""
-        model = np.maximum(self.columns @ (squares / self.scale), self.least)
+        model = np.maximum(model, self.least)
         return -0.5 * float(self.count @ (np.log(model) + self.square / model))
 
-    def interval(self, k: int, squares: Array) -> tuple[float, float]:
-        """Squared ends of the interval of a level, by its profile likelihood."""
-        top = self.likelihood(squares) - _FALL
-        unit = float(squares[k]) or self.scale[k] * float(np.min(self.square / self.columns[:, k]))
+    def interval(self, columns: Array, k: int, squares: Array) -> tuple[float, float]:
+        """Ends of the interval of a factor, by its profile likelihood."""
+        top, others = self.likelihood(columns @ squares) - _FALL, np.delete(columns, k, axis=1)
+        unit, start = float(squares[k]) or float(np.min(self.square / columns[:, k])), np.delete(squares, k)
 
         def above(value: float) -> float:
-            start = squares.copy()
-            start[k] = value
-            return self.likelihood(self.best(start, k)) - top
+            return self.best(others, value * columns[:, k], start)[1] - top
 
         lower = 0.0 if above(0.0) >= 0.0 else squares[k] - _fall(lambda d: above(squares[k] - d), squares[k])
         return lower, _fall(above, unit, squares[k])
 
-    def moved(self, cross: Array, bends: Array, drift: float) -> float:
-        """Fall of the likelihood for a drift that is off by this much, above that of the interval."""
-        off = _Fit(self.columns / self.scale, self.square - 2.0 * drift * cross + drift**2 * bends, self.count)
-        return off.likelihood(off.best()) - self.likelihood(self.best()) + _FALL
 
-
-def _bands(frequency: Array, *values: Array) -> tuple[NDArray[np.int64], list[Array]]:
-    """Index of the first frequency of each band, and the sums over the bands."""
-    band = np.floor(_BANDS * np.log2(frequency)).astype(int)
-    start = np.flatnonzero(np.diff(band, prepend=band[0] - 1))
-    return start, [np.add.reduceat(each, start) for each in values]
-
-
-def _most(frequency: Array, columns: Array, square: Array, count: Array) -> Array:
-    """Largest squared levels (k,) that the spectrum allows: no band has a level above it, whatever else is there."""
-    from scipy.special import chdtri
-
-    start, (numbers, sums, *of_one) = _bands(frequency, count, count * square, *(count * columns.T))
-    least = chdtri(numbers, 1.0 - _OUTSIDE / start.size) / numbers
-    return np.array([float(np.min(sums / (one * least))) for one in of_one])
-
-
-def _misfit(frequency: Array, ratio: Array, count: Array) -> tuple[float, float, float] | None:
-    """The band in which the spectrum differs most from the levels, if no chance explains it.
+def _judged(
+    frequency: Array, columns: Array, square: Array, model: Array, count: Array
+) -> tuple[tuple[float, float, float] | None, Array]:
+    """Band in which the spectrum differs most from the levels, if no chance explains it; largest factors that it allows.
 
     The sum of the spectral values of a band over those of the levels is chi-square; of all bands the least probable counts.
+    No band has a column above the largest factor, whatever else is there.
     """
-    from scipy.special import chdtr, chdtrc
+    from scipy.special import chdtr, chdtrc, chdtri
 
-    start, (numbers, sums) = _bands(frequency, count, count * ratio)
-    chance = 2.0 * np.minimum(chdtr(numbers, sums), chdtrc(numbers, sums))
+    band = np.floor(_BANDS * np.log2(frequency)).astype(int)
+    start = np.flatnonzero(np.diff(band, prepend=band[0] - 1))
+    table = np.column_stack((count, count * square / model, count * square, count[:, None] * columns))
+    numbers, ratios, sums, *of_one = np.add.reduceat(table, start).T
+    least = chdtri(numbers, 1.0 - _OUTSIDE / start.size) / numbers
+    most = np.array([float(np.min(sums / (one * least))) for one in of_one])
+    chance = 2.0 * np.minimum(chdtr(numbers, ratios), chdtrc(numbers, ratios))
     worst = int(np.argmin(chance))
     if chance[worst] * start.size > _DOUBT:
-        return None
-    ends = np.append(start[1:], frequency.size) - 1
-    return float(frequency[start[worst]]), float(frequency[ends[worst]]), float(sums[worst] / numbers[worst])
+        return None, most
+    ends = frequency[start[worst]], frequency[np.append(start[1:], frequency.size)[worst] - 1]
+    return (float(ends[0]), float(ends[1]), float(ratios[worst] / numbers[worst])), most
