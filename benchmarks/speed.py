@@ -44,8 +44,8 @@ from piga.instrument import (
     propagate_segments,
 )
 from piga.ledger.store import Draft, DraftFile, open_store
-from piga.platform import Navigator, compare, compensator, simulate, true_knowledge
-from piga.platform.navigator import true_start
+from piga.platform import compare, compensator, simulate, true_knowledge
+from piga.platform.navigator import inertial_states, true_start
 from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation, Sensors
 from piga.reading.columns import file_digest
 from piga.records.calibration.document import to_document
@@ -226,7 +226,7 @@ def platform(_: list[int]) -> tuple[str, Values]:
     values = {"plain J2 leapfrog": base / len(dv) * 1e9}
     for model, name in (("none", "no model"), ("A", "model A"), ("B", "model B"), ("C", "model C")):
         middles = compensator(model, true_knowledge(run.scenario), run.readouts).middles
-        own = seconds(lambda angles=middles: Navigator(start, 1.0).push(dv, angles, np.zeros(1)))
+        own = seconds(lambda angles=middles: inertial_states(start, 1.0, dv, angles, np.zeros(1)))
         values[f"navigation, {name}"] = own / len(dv) * 1e9
     values["ten days at 1 Hz, whole chain, four models"] = seconds(lambda: compare(ten_days()), 3)
     hour = simulate(ten_days(1.0 / 24.0))
@@ -234,9 +234,8 @@ def platform(_: list[int]) -> tuple[str, Values]:
     fine = [np.repeat(v, 100, axis=0) for v in (hour.readouts.increments / 100.0, middles)]
 
     def hundred_hertz() -> None:
-        navigator = Navigator(true_start(hour.truth), 0.01)
         for _ in range(240):
-            navigator.push(*fine, np.zeros(1), 100)
+            inertial_states(true_start(hour.truth), 0.01, *fine, np.zeros(1), every=100)
 
     values["ten days at 100 Hz, navigation with model B"] = seconds(hundred_hertz, 1)
     return "platform", values

@@ -30,14 +30,12 @@ def platform_results():
     scenario = piga.platform.load_scenario(ROOT / "examples" / "platform-piga.toml")
     short = replace(scenario, duration=7200.0, calibration_time=3600.0)
     run = piga.platform.simulate(short)
-    stretch = run.readouts.first(3600.0)
     prepared = piga.platform.prepare(run)
     return {
         "PlatformScenario": short,
         "PlatformRun": run,
         "Readouts": run.readouts,
         "Identification": prepared.identification,
-        "Growing": piga.platform.identify_growing(stretch, short.place, count=3),
         "Alignment": prepared.alignment,
         "Start": prepared.start,
         "Knowledge": prepared.knowledge,
@@ -48,7 +46,7 @@ def platform_results():
 
 
 PLATFORM = (
-    "PlatformScenario", "PlatformRun", "Readouts", "Identification", "Growing", "Alignment", "Start", "Knowledge",
+    "PlatformScenario", "PlatformRun", "Readouts", "Identification", "Alignment", "Start", "Knowledge",
     "Comparison", "Capstone", "Short",
 )  # fmt: skip
 

@@ -177,13 +177,13 @@ def identify(scenario: Scenario, out: Out) -> None:
         place, orders = run.scenario.place, run.scenario.compensation.orders
         stretch = run.readouts.first(run.scenario.calibration_time)
         with progress("identifying") as advance:
-            growing = piga.platform.identify_growing(
+            found = piga.platform.identify(
                 stretch, place, sources=sources_of(run), orders=orders, progress=advance
             )
             allowed = SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
             sources = piga.platform.observability(stretch, place, sources=allowed, orders=orders)
-        document = identification_document(growing.parts[-1], sources)
-        whole = identification_page(run, growing, sources)
+        document = identification_document(found, sources)
+        whole = identification_page(run, found, sources)
         to.show(document, whole, whole.only("parameters"), "identification.json", "report.html")
 
 

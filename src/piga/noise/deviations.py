@@ -455,7 +455,9 @@ class _Fit:
         self.square, self.count = square, count
         self.least = max(1e-15 * float(square.max(initial=0.0)), 1e-300)
 
-    def best(self, columns: Array, given: Array | float = 0.0, start: Array | None = None) -> tuple[Array, float]:
+    def best(
+        self, columns: Array, given: Array | float = 0.0, start: Array | None = None
+    ) -> tuple[Array, float]:
         """Factors of the columns of the largest likelihood, none below zero, and its logarithm.
 
         ``given`` is a part of the variance that stays. Scoring: least squares with the weights of the spectrum before,

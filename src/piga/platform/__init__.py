@@ -14,18 +14,15 @@ from piga.platform.chain import (
 )
 from piga.platform.identify import (
     Alignment,
-    GrowingIdentification,
     Identification,
     align,
     identify,
-    identify_growing,
     observability,
 )
 from piga.platform.navigator import (
     CaseCompensator,
     Knowledge,
     Navigation,
-    Navigator,
     Perturbation,
     Start,
     compensator,
@@ -40,12 +37,10 @@ from piga.platform.simulate import PlatformRun, Readouts, simulate
 __all__ = [
     "Alignment",
     "CaseCompensator",
-    "GrowingIdentification",
     "Identification",
     "Knowledge",
     "ModelComparisonRun",
     "Navigation",
-    "Navigator",
     "Perturbation",
     "PlatformRun",
     "PlatformScenario",
@@ -57,7 +52,6 @@ __all__ = [
     "error_budget",
     "errors",
     "identify",
-    "identify_growing",
     "linear_errors",
     "load_scenario",
     "navigate",

@@ -10,9 +10,9 @@ and the base's attitude. Each observation alone lacks one angle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -25,12 +25,8 @@ from piga.platform.observation import SOURCES, STATIC_SOURCES, ObservedRecord, R
 from piga.platform.scenario import Gyro, Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Array, Plotted, Result, finite
+from piga.results import Array, Result, finite
 from piga.threads import one_thread
-from piga.upper import doors
-
-if TYPE_CHECKING:
-    from piga.reports.render.figure import Figure
 
 _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
@@ -44,8 +40,7 @@ UNKNOWN_PHASE = float(np.pi / np.sqrt(3.0))
 """Standard uncertainty [rad] of an unknown phase (uniform over a turn)."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class LeastSquares(Result):
+class LeastSquares(NamedTuple):
     """A least-squares step (p,), its covariance (p, p), the condition of the scaled problem, noise level of each group."""
 
     step: Array
@@ -231,111 +226,53 @@ def _notes(values: Array, covariance: Array) -> tuple[str, ...]:
     notes = []
     pairs, stds = (v[: len(v) // 4 * 4].reshape(2, -1, 2) for v in (values, np.sqrt(np.diag(covariance))))
     small = np.hypot(pairs[..., 0], pairs[..., 1]) < 3.0 * stds.max(axis=2)
-    for gyro, (fundamental, *harmonics) in zip(("polar", "equatorial"), small.tolist(), strict=True):
-        which = ", ".join(str(k) for k, below in enumerate(harmonics, start=1) if below)
-        if fundamental:
-            notes.append(
-                f"{gyro}: the misalignment is below three times its uncertainty; its phase means nothing"
-            )
-        if which:
-            notes.append(
-                f"{gyro}: harmonics below three times their uncertainty, whose phases mean nothing: {which}"
-            )
+    for gyro, below in zip(("polar", "equatorial"), small.tolist(), strict=True):
+        if any(below):
+            which = ", ".join(f"harmonic {k}" if k else "misalignment" for k, one in enumerate(below) if one)
+            notes.append(f"{gyro}: below three times the uncertainty, so the phase means nothing: {which}")
     return tuple(notes)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class GrowingIdentification(Result, Plotted):
-    """Identifications of growing parts of one record. The last part is the whole record.
-
-    ``times`` (k,) [s] are the ends of the parts. The plot shows the misalignments against time.
-    """
-
-    times: Array
-    parts: tuple[Identification, ...]
-
-    @property
-    def values(self) -> Array:
-        """Unknowns (k, p) in the order of ``names`` of an identification."""
-        return np.array([part.values for part in self.parts])
-
-    @property
-    def stds(self) -> Array:
-        """Standard uncertainties (k, p) of the unknowns."""
-        return np.array([np.sqrt(np.diag(part.covariance)) for part in self.parts])
-
-    def figure(self) -> Figure:
-        """Estimates against the length of the record."""
-        return doors().platform_figures().convergence_figure(self)
-
-    def in_brief(self) -> list[tuple[str, str]]:
-        """The result of the whole record."""
-        return self.parts[-1].in_brief()
-
-
-def identify_growing(
-    readouts: Readouts,
-    place: Place,
-    *,
-    sources: Sequence[str] = STATIC_SOURCES,
-    orders: int = 3,
-    count: int = 12,
-    progress: Progress | None = None,
-) -> GrowingIdentification:
-    """Identify from ``count`` growing parts of a record. The shortest part has four turns of the slower case.
-
-    The other arguments and the errors are those of :func:`identify`.
-    """
-    record = ObservedRecord.checked(readouts, place, sources, orders)
-    start, end = float(readouts.times[0]), float(readouts.times[-1])
-    shortest = min(4.0 * record.periods[1], end - start)
-    times, parts = start + np.linspace(shortest, end - start, count), []
-    for k, time in enumerate(times):
-        report(progress, k, count, f"part {k + 1} of {count}")
-        parts.append(identify(readouts.first(float(time) - start), place, sources=sources, orders=orders))
-    return GrowingIdentification(times, tuple(parts))
 
 
 UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Observability(Result):
-    """What one choice of sources tells: condition number, standard uncertainty (4,) [rad] of :data:`UNKNOWNS`, and a sentence.
-
-    Both are infinite if :func:`identify` refuses these sources; the sentence then gives the reason.
-    """
-
-    source: str
-    condition: float
-    std: Array
-    separable: bool
-    sentence: str
-
-
 def observability(
     readouts: Readouts, place: Place, *, sources: Sequence[str] = SOURCES, orders: int = 3
-) -> tuple[Observability, ...]:
+) -> list[dict[str, Any]]:
     """What each of the ``sources`` alone, and with the pick-off, tells of the two misalignments: :func:`identify` with each.
 
+    Of each: ``source``, ``condition``, ``std_rad`` (standard uncertainty of each of :data:`UNKNOWNS`), ``separable`` and
+    ``verdict``, a sentence. Where :func:`identify` refuses, the numbers are None and the sentence gives the reason.
     If both cases turn at one speed, the pick-off alone contains ``m2 cos(c2) - m1 sin(c1)`` as one line. It leaves two of the
     four unknowns undetermined.
     """
-    verdicts, pick, others = [], "pick-off", [source for source in sources if source != "pick-off"]
+    rows, pick, others = [], "pick-off", [source for source in sources if source != "pick-off"]
     for chosen in ((pick,), *((source,) for source in others), *((source, pick) for source in others)):
+        std: dict[str, float | None] = dict.fromkeys(UNKNOWNS)
+        condition, verdict = None, "tells both misalignments and both phases"
         try:
             found = identify(readouts, place, sources=chosen, orders=orders)
         except PigaError as error:
-            verdict = np.inf, np.full(4, np.inf), False, f"{error.message}; {error.remedy}"
+            verdict = f"{error.message}; {error.remedy}"
         else:
-            std = np.sqrt(np.diag(found.covariance))[[found.names.index(name) for name in UNKNOWNS]]
-            verdict = found.condition, std, True, "tells both misalignments and both phases"
-        verdicts.append(Observability(" with ".join(chosen), *verdict))
-    return tuple(verdicts)
+            condition, every = finite(found.condition), np.sqrt(np.diag(found.covariance)).tolist()
+            std = {name: finite(every[found.names.index(name)]) for name in UNKNOWNS}
+        rows.append(
+            {
+                "source": " with ".join(chosen),
+                "condition": condition,
+                "std_rad": std,
+                "separable": condition is not None,
+                "verdict": verdict,
+            }
+        )
+    return rows
 
 
-def identification_document(identification: Identification, sources: Sequence[Observability]) -> dict[str, Any]:
-    """JSON document of ``piga platform identify``."""
+def identification_document(
+    identification: Identification, sources: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """JSON document of ``piga platform identify``; ``sources`` are those of :func:`observability`."""
     names = ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
     document = {name: getattr(identification, name) for name in names}
     document["covariance"] = {
@@ -343,17 +280,7 @@ def identification_document(identification: Identification, sources: Sequence[Ob
         "values": identification.values.tolist(),
         "matrix": identification.covariance.tolist(),
     }
-    document["observability"] = [
-        {
-            "source": o.source,
-            "condition": finite(o.condition),
-            "std_rad": dict(zip(UNKNOWNS, (finite(v) for v in o.std.tolist()), strict=True)),
-            "separable": o.separable,
-            "verdict": o.sentence,
-        }
-        for o in sources
-    ]
-    return dict(msgspec.to_builtins(document))
+    return dict(msgspec.to_builtins(document | {"observability": sources}))
 
 
 # -- alignment on a static base ----------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from scipy.linalg import expm, matrix_balance
 
 from piga import earth
 from piga._kernels.platform import Stepping, Triad, follow, navigate_chunk
-from piga.errors import ArgumentError
 from piga.frames import rotation_vector_to_matrix, skew
 from piga.platform import geometry
 from piga.platform.scenario import Gyro, Model, Place, PlatformScenario
@@ -114,60 +113,37 @@ class Start(Result):
     drift: Array
 
 
-class Navigator:
-    """Streaming navigator: push velocity increments, get inertial states.
+def inertial_states(
+    start: Start, step: float, increments: Array, angles: Array, altitude: Array, *, every: int = 1,
+    damping_time: float = 100.0,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Inertial positions [m] and velocities [m/s] after every ``every``-th ``step`` [s].
 
-    The step is fourth order and takes every increment in full; ``damping_time`` [s] is the time
-    constant of the altitude loop (critically damped), 0 leaves the vertical channel free (it then
-    grows by e in about 570 s). The result does not depend on how the record is cut into chunks,
-    unless a drift is compensated (then to its second order, below 1e-10 rad).
+    The step is of fourth order and takes every one of the ``increments`` (n, 3) [m/s] in full. ``angles`` (n, 3) or (1, 3) are
+    ``CaseCompensator.middles``; ``altitude`` (n,) or (1,) [m] is that at the ends of the steps. ``damping_time`` [s]: time
+    constant of the critically damped altitude loop; 0 leaves the vertical channel free (it then grows by e in about 570 s).
     """
-
-    def __init__(self, start: Start, step: float, damping_time: float = 100.0) -> None:
-        self.step, self.drift, self.triad = step, np.array(start.drift), np.array(start.triad)
-        self.damping = damping_gains(damping_time)
-        self.state, self.steps = np.zeros((9, 3)), 0
-        self.state[0], self.state[1] = start.position, start.velocity
-
-    def push(self, increments: Array, angles: Array, altitude: Array, every: int = 1) -> tuple[Array, Array]:
-        """Advance over ``increments`` (n, 3) [m/s].
-
-        ``angles`` (n, 3) or (1, 3): small angles [rad] of the platform against the triad at mid-step, as
-        ``CaseCompensator.middles``; ``altitude`` (n,) or (1,) [m] at the ends of the steps.
-        Returns position [m] and velocity [m/s] after every ``every``-th step; n must be a multiple of it.
-        """
-        n = len(increments)
-        if n % every:
-            raise ArgumentError(
-                f"push: {n} increments are not a multiple of every = {every}",
-                remedy="push a multiple of it, or use every=1",
-            )
-        positions, velocities = np.empty((n // every, 3)), np.empty((n // every, 3))
-        if self.steps == 0 and n > 0:
-            self._prime(increments)
-        rate = float(np.linalg.norm(self.drift))
-        block = n if rate == 0.0 else max(every, int(_LARGEST_TURN / (rate * self.step)) // every * every)
-        stepping = Stepping(self.step, every, self.damping, geometry.KERNEL_EARTH)
-        for at in range(0, n, max(block, 1)):
-            part = slice(at, min(at + block, n))
-            rows = slice(at // every, part.stop // every)
-            triad = self.triad @ rotation_vector_to_matrix(self.drift * (self.steps * self.step))
-            navigate_chunk(
-                increments[part], _cut(angles, part), Triad(triad, self.drift), _cut(altitude, part),
-                stepping, self.state, positions[rows], velocities[rows],
-            )  # fmt: skip
-            self.steps += part.stop - part.start
-        return positions, velocities
-
-    def _prime(self, increments: Array) -> None:
-        """Past gravitation and increments that a start from rest lacks, by the motion run backwards."""
-        h, r, v, first = self.step, self.state[0], self.state[1], self.triad @ increments[0]
-        slope = self.triad @ (increments[min(1, len(increments) - 1)] - increments[0])
-        acceleration = first / h + geometry.gravitation(r)
-        for back, row in ((1.0, 3), (2.0, 4)):
-            self.state[row] = geometry.gravitation(r - back * h * v + 0.5 * (back * h) ** 2 * acceleration)
-        self.state[2], self.state[5:7] = geometry.gravitation(r), (first - slope, first - 2.0 * slope)
-        self.state[8] = r / np.linalg.norm(r)
+    n, h, r, v, drift = len(increments), step, start.position, start.velocity, np.array(start.drift)
+    first = start.triad @ increments[0]
+    slope = start.triad @ (increments[min(1, n - 1)] - increments[0])
+    acceleration = first / h + geometry.gravitation(
+        r
+    )  # past gravitation and increments: the motion run backwards
+    back = [geometry.gravitation(r - k * h * v + 0.5 * (k * h) ** 2 * acceleration) for k in (0.0, 1.0, 2.0)]
+    past = first - slope, first - 2.0 * slope
+    state = np.array([r, v, *back, *past, np.zeros(3), r / np.linalg.norm(r)])
+    positions, velocities = np.empty((n // every, 3)), np.empty((n // every, 3))
+    rate = float(np.linalg.norm(drift))
+    block = n if rate == 0.0 else max(every, int(_LARGEST_TURN / (rate * h)) // every * every)
+    stepping = Stepping(h, every, damping_gains(damping_time), geometry.KERNEL_EARTH)
+    for at in range(0, n, block):
+        part, rows = slice(at, at + block), slice(at // every, (at + block) // every)
+        triad = Triad(start.triad @ rotation_vector_to_matrix(drift * (at * h)), drift)
+        navigate_chunk(
+            increments[part], _cut(angles, part), triad, _cut(altitude, part), stepping, state, positions[rows],
+            velocities[rows],
+        )  # fmt: skip
+    return positions, velocities
 
 
 def damping_gains(damping_time: float) -> Array:
@@ -229,9 +205,8 @@ def navigate(readouts: Readouts, compensator: CaseCompensator, start: Start, *, 
     if readouts.turn_sensitivity > 0.0 and len(angles) > 1:
         increments = increments + np.diff(angles, axis=0) * readouts.turn_sensitivity
     altitude = readouts.altitude[1:] if len(readouts.altitude) > 1 else readouts.altitude
-    position, velocity = Navigator(start, readouts.step, damping_time).push(
-        increments[middle], _cut(compensator.middles, middle), _cut(altitude, middle), every
-    )
+    steps = increments[middle], _cut(compensator.middles, middle), _cut(altitude, middle)
+    position, velocity = inertial_states(start, readouts.step, *steps, every=every, damping_time=damping_time)
     times = readouts.times[node]
     gimbals, angles, table = readouts.gimbals[node], _cut(angles, node), np.empty((len(times), 9))
     for first in range(0, len(times), _SHOWN):

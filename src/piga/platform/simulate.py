@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 
 from piga import earth
 from piga._kernels.platform import drift_series
+from piga.compensation import Mounted, SetCompensator
 from piga.errors import ArgumentError, DataError
 from piga.frames import axis_turn, rotation_vector_to_matrix
 from piga.instrument import Instrument, propagate
 from piga.platform import geometry
 from piga.platform.scenario import MotionPlan, PigaSensors, PlatformScenario
+from piga.records import Calibration
 from piga.results import Array, Plotted, Result
 from piga.stand.profile import read_columns
 from piga.tables import Column, arrow_table
+from piga.units import G0
 from piga.upper import doors
 
 if TYPE_CHECKING:
@@ -186,9 +189,8 @@ def gimbal_angles(sensors: PigaSensors, times: Array, force: Array, spin: Array)
 def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
     """Velocity increments (n, 3) [m/s] in platform axes from gimbal angles (3, n + 1).
 
-    ``raw``: ``d alpha / K`` along the input axes. ``triad``: the force that turns all three as measured,
-    with the effective input axes and the calibration ``tan_beta + tan_beta_error``, phase off by
-    ``phase_error``.
+    ``raw``: ``d alpha / K`` along the input axes. ``triad``: the compensation of a set of instruments with the
+    calibration ``tan_beta + tan_beta_error``, phase off by ``phase_error`` (:class:`piga.compensation.SetCompensator`).
 
     Raises
     ------
@@ -196,8 +198,7 @@ def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
         If a gimbal turns by more than a third of a turn in one step (the angle between samples would be
         ambiguous).
     """
-    axes = mounting_axes(sensors)
-    turned = np.diff(alpha, axis=1)
+    axes, turned = mounting_axes(sensors), np.diff(alpha, axis=1)
     if sensors.output == "raw":
         return np.ascontiguousarray(np.linalg.solve(axes[:, 0, :], turned / sensors.scale_factor).T)
     fastest = float(np.abs(turned).max())
@@ -207,38 +208,14 @@ def read_increments(sensors: PigaSensors, times: Array, alpha: Array) -> Array:
             "turn can be solved",
             remedy=f"shorten [run] step below {(times[1] - times[0]) * 2.0 / fastest:.2g} s",
         )
-    step = float(times[1] - times[0])
-    gain, tan_beta = sensors.scale_factor * step, sensors.tan_beta + sensors.tan_beta_error
-    return step * _solve_triad(gain, tan_beta, alpha + sensors.phase_error, axes)
-
-
-_SWEEPS = 4
-"""Newton steps for the force of a step."""
-
-
-def _solve_triad(gain: float, tan_beta: float, alpha: Array, axes: Array) -> Array:
-    """Constant force (n, 3) [m/s^2] over each step that turns three gimbals as measured.
-
-    Newton steps on the exact motion (:mod:`piga.instrument.constant_input`), with the effective input axes averaged over the
-    step as Jacobian. ``gain``: K times the step [rad/(m/s^2)]; ``alpha`` (3, n + 1) [rad]; ``axes`` (3, 3, 3): rows X0, Y0, Z0
-    of each in the common frame. Own derivation, docs/theory/platform.md section 10.
-    """
-    turned, sine, cosine = np.diff(alpha).T, np.sin(alpha).T, np.cos(alpha).T
-    s0, c0, still = sine[:-1], cosine[:-1], np.abs(turned) < 1e-3
-    even = np.where(still, 1.0, turned)
-    s = np.where(still, 0.5 * (s0 + sine[1:]), (c0 - cosine[1:]) / even)  # means over an angle that runs evenly
-    c = np.where(still, 0.5 * (c0 + cosine[1:]), (sine[1:] - s0) / even)
-    matrix = gain * (axes[:, 0] + tan_beta * (s[..., None] * axes[:, 1] - c[..., None] * axes[:, 2]))
-    force = np.zeros((len(turned), 3))
-    for _ in range(_SWEEPS):
-        A, Y, Z = (
-            gain * np.array([1.0, tan_beta, tan_beta])[:, None, None] * np.einsum("iaj,nj->ani", axes, force)
-        )
-        root = np.sqrt(0.25 * (Y * Y + Z * Z - A * A) + 0j)
-        C, S = np.cosh(root).real, np.sinc(1j * root / np.pi).real
-        along = 2.0 * np.arctan2(0.5 * S * (A + Y * s0 - Z * c0), C - 0.5 * S * (Y * c0 + Z * s0))
-        force += np.linalg.solve(matrix, (turned - along)[..., None])[..., 0]
-    return force
+    known = {
+        "scale_factor": sensors.scale_factor * G0,
+        "tan_beta": sensors.tan_beta + sensors.tan_beta_error,
+        "phi": sensors.phase_error,
+    }
+    calibration = Calibration.from_coefficients(known)
+    compensator = SetCompensator([Mounted(calibration, one) for one in axes], uncertainty=False)
+    return compensator.push(times, alpha).dv[1:]
 
 
 def locked(sensors: PigaSensors, force: Array) -> NDArray[np.bool_]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from piga.platform.identify import (
     UNKNOWN_PHASE,
     UNKNOWNS,
     Alignment,
-    GrowingIdentification,
     Identification,
-    Observability,
     Parameter,
 )
 from piga.platform.scenario import Gyro, Model, PlatformScenario
@@ -107,11 +105,10 @@ def simulation_page(run: PlatformRun) -> Page:
 
 
 def identification_page(
-    run: PlatformRun, growing: GrowingIdentification, sources: Sequence[Observability]
+    run: PlatformRun, identification: Identification, sources: Sequence[Mapping[str, Any]]
 ) -> Page:
     """Page of ``piga platform identify``."""
-    s, identification = run.scenario, growing.parts[-1]
-    tiles = []
+    s, tiles = run.scenario, []
     for gyro in ("polar", "equatorial"):
         m = identification[f"{gyro}.misalignment"]
         spread = f"± {short(m.std / ARCSEC)} arcsec"
@@ -121,7 +118,6 @@ def identification_page(
     found: tuple[Content, ...] = (_parameter_table(identification, s), *notes)
     shown = (
         Section("Misalignments, phases and harmonics", "parameters", found),
-        Section("As the record grows", "growing", (partial(convergence_figure, growing),)),
         Section("What each source can tell", "observability", (_observability_table(sources),)),
     )
     return page("Platform identification", s, tuple(tiles), shown)
@@ -169,16 +165,15 @@ def _case_rotation_text(s: PlatformScenario) -> Text:
     return Text("\n\n".join(parts) or "No case-fixed drift was put in.")
 
 
-def _observability_table(sources: Sequence[Observability]) -> Table:
-    table = TableOf(sources).text("source", lambda o: o.source)
-    table.number("condition", lambda o: short(o.condition))
-    table.across(
-        range(len(UNKNOWNS)),
-        lambda k: UNKNOWNS[k],
-        lambda o, k: short(float(o.std[k] / ARCSEC)) if o.std[k] < 1.0 else "–",
-        lambda _: "arcsec",
-    )
-    table.text("verdict", lambda o: Cell(o.sentence, "good" if o.separable else "doubtful"))
+def _observability_table(sources: Sequence[Mapping[str, Any]]) -> Table:
+    def arcsec(row: Mapping[str, Any], name: str) -> str:
+        std = row["std_rad"][name]
+        return short(std / ARCSEC) if std is not None and std < 1.0 else "–"
+
+    table = TableOf(sources).text("source", lambda row: row["source"])
+    table.number("condition", lambda row: short(row["condition"]) if row["separable"] else "–")
+    table.across(UNKNOWNS, str, arcsec, lambda _: "arcsec")
+    table.text("verdict", lambda row: Cell(row["verdict"], "good" if row["separable"] else "doubtful"))
     return table.table(
         notes=("u and v are m cos(phase) and m sin(phase); uncertainties at the noise of this record.",)
     )
@@ -397,25 +392,6 @@ def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
     basis = np.polynomial.polynomial.polyvander((t - t.mean()) / (t[-1] - t[0]), 2)
     fitted, *_ = np.linalg.lstsq(basis, mean, rcond=None)
     return t / MINUTE, mean - basis @ fitted
-
-
-def convergence_figure(growing: GrowingIdentification) -> Figure:
-    """Estimates from growing parts of the record with their 95 % band, relative to the last one."""
-    t, values, stds = growing.times / MINUTE, growing.values, growing.stds
-    names = growing.parts[-1].names
-    half = (len(names) - 2 * ("eta0" in names)) // 2
-    plot = Plot("fig-convergence", "Identification as the record grows", columns=2, height=2.6)
-    roles: tuple[Role, Role] = ("x", "y")
-    for at, title in ((0, "polar"), (half, "equatorial")):
-        last = values[-1, at : at + 2]
-        plot.panel("time [min]", f"{title}, off its end [arcsec]")
-        for k, role in enumerate(roles):
-            y, s = (values[:, at + k] - last[k]) / ARCSEC, 1.96 * stds[:, at + k] / ARCSEC
-            plot.band(t, -s, s, "95 % band" if k == 0 else "")
-            plot.line(t, y, f"m {'cos' if k == 0 else 'sin'}(phase)", role)
-    return plot.caption(
-        "Estimates from growing parts of the record, less the last one; the band is their 95 % interval."
-    )
 
 
 _MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
