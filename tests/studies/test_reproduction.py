@@ -26,7 +26,7 @@ def test_no_case_fails_and_everything_is_labelled(timed):
     result, seconds = timed
     assert [chapter.id for chapter in result.chapters] == list(CHAPTERS)
     assert len(result.cases) >= 25
-    assert len(result.figures) >= 10
+    assert len(result.figures) >= 7
     assert len({case.id for case in result.cases}) == len(result.cases)
     assert len({figure.key for figure in result.figures}) == len(result.figures)
     for chapter in result.chapters:

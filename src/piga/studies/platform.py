@@ -38,7 +38,7 @@ from piga.platform.scenario import (
 from piga.platform.simulate import TRIPOD, locked, mounting_axes, simulate
 from piga.progress import Progress, Steps
 from piga.reports.platform import lines_figure, page, published_figure, schuler_peak, time_axis
-from piga.reports.render.figure import Figure, Plot, Role, Series
+from piga.reports.render.figure import Figure, Plot, Role
 from piga.reports.render.numbers import short
 from piga.reports.render.page import Page, Section, TableOf, Tile
 from piga.results import Array, Result
@@ -173,20 +173,7 @@ def ten_days() -> Chapter:
     values["first-day"] = first[0] - first[1]
     title = "Errors around the end of day ten, models A and B"
     end = replace(published_figure(comparison), key="ten-days-end", title=title)
-    daily = lines_figure(comparison)
-    panels = [replace(panel, y=replace(panel.y, log=False)) for panel in daily.panels]
-    for k, channel in enumerate(CHANNELS):
-        added = (
-            Series([_DAYS], [printed(channel, "A")], "published simulation, model A", "points", "warning"),
-            Series([_DAYS], [printed(channel, "theory")], "published theory, model A", "points", "model"),
-        )
-        panels[k] = replace(panels[k], series=(*panels[k].series, *added))
-    caption = (
-        "Amplitude fitted over each day, so that a day's point stands for its middle; the published amplitudes belong to the end "
-        "of day ten. Model A grows with the redundancy angle as the theory says; model B follows it."
-    )
-    daily = replace(daily, key="ten-days-lines", panels=tuple(panels), caption=caption)
-    return chapter_of("ten-days", values, (daily, end))
+    return chapter_of("ten-days", values, (replace(lines_figure(comparison), key="ten-days-lines"), end))
 
 
 def wobble() -> Chapter:
@@ -194,12 +181,8 @@ def wobble() -> Chapter:
     comparison = compared(wobble=True)
     amplitude = {m: float(r.lines.amplitude["east_velocity"][-1]) for m, r in comparison.models.items()}
     values = {f"removed-{m}": 100.0 * (1.0 - amplitude[m] / amplitude["A"]) for m in ("B", "C")}
-    title = "Errors around the end of day ten with wobble"
-    figures = (
-        replace(lines_figure(comparison), key="wobble-lines"),
-        replace(published_figure(comparison), key="wobble-end", title=title),
-    )
-    return chapter_of("wobble", values | {"left-B": amplitude["B"]}, figures)
+    figure = replace(lines_figure(comparison), key="wobble-lines")
+    return chapter_of("wobble", values | {"left-B": amplitude["B"]}, (figure,))
 
 
 # -- gyro accelerometers on the platform ---------------------------------------------------------------------

@@ -134,7 +134,7 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     It is a mapping of coefficients in their order: ``cal["tan_beta"].value``; per-segment phases are ``cal["phi[3]"]``.
     ``in``, iteration, ``len``, ``keys``, ``values`` and ``items`` work as those of a dict. Coefficients are in the units
     of calibration.json; ``cal["k0"].value_si`` is SI, and so is everything else.
-    Two calibrations are equal if they state the same. ``residuals`` and ``history`` do not count.
+    Two calibrations are equal if they state the same. ``residuals`` do not count.
     ``notes`` are doubts, one sentence each. ``remarks`` are information, not doubts.
     ``surplus_observations`` is the number of observations (increments of the angle, rates, positions) minus the number
     of coefficients. It is not the degrees of freedom of an uncertainty: each coefficient has its own effective ones.
@@ -176,7 +176,6 @@ class Calibration(ByValue, Reported, Tabular, Mapping[str, Coefficient]):
     runs: tuple[RunRecord, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     residuals: Annotated[Residuals | None, At(None)] = field(default=None, compare=False)
-    history: Annotated[dict[str, Array] | None, At(None)] = field(default=None, compare=False)
     unit: Annotated[str, At(None)] = GYRO
 
     def __post_init__(self) -> None:
