@@ -11,8 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from piga.errors import ArgumentError
 from piga.reports.render.axes import draw, write_figure
-from piga.reports.render.figure import Axis, Figure, Panel, Series, envelope_rows
-from piga.reports.render.interactive import figure_spec
+from piga.reports.render.figure import Axis, Figure, Panel, Series, envelope_rows, figure_document
 from piga.reports.render.page import json_island
 
 
@@ -31,22 +30,23 @@ def test_a_page_and_a_file_show_the_same_series(cal):
     from piga.reports.calibration.figures import calibration_figures
 
     for figure in (*calibration_figures(cal).values(), every_mark()):
-        traces = [trace for trace in figure_spec(figure)["data"] if not trace["uid"].endswith("-lower")]
+        panels = figure_document(figure)["panels"]
         drawn = draw(figure)
         assert len(drawn.axes) == len(figure.panels)
         for panel, axes in zip(figure.panels, drawn.axes, strict=True):
             bands = sum(series.mark == "band" for series in panel.series)
             assert len(axes.containers) + bands == len(panel.series)
             assert axes.get_ylabel().replace("\n", " ") == panel.y.label
-        assert len(traces) == sum(len(panel.series) for panel in figure.panels)
+        assert [len(panel["series"]) for panel in panels] == [len(panel.series) for panel in figure.panels]
 
 
-def test_interactive_numbers_are_those_of_the_figure():
+def test_numbers_of_a_page_are_those_of_the_figure():
     figure = every_mark()
-    for trace, series in zip(figure_spec(figure)["data"][:5], figure.panels[0].series, strict=False):
+    drawn = figure_document(figure)["panels"][0]["series"]
+    for shown, series in zip(drawn, figure.panels[0].series, strict=True):
         x, y = series.arrays()
-        assert trace["x"] == pytest.approx(x, abs=1e-5 * 10)
-        assert trace["y"] == pytest.approx(y, abs=1e-5 * 10)
+        assert shown["x"] == pytest.approx(x, abs=1e-5 * 10)
+        assert shown["y"] == pytest.approx(y, abs=1e-5 * 10)
 
 
 def test_gaps_are_null_and_json_is_strict():
@@ -54,12 +54,12 @@ def test_gaps_are_null_and_json_is_strict():
     figure = Figure(
         "gap", "Gap.", (Panel(Axis("time", "s"), Axis("angle", "rad"), (Series(np.arange(4), y),)),)
     )
-    spec = json.loads(json_island(figure_spec(figure)))
-    assert spec["data"][0]["y"] == [1.0, None, None, 4.0]
+    document = json.loads(json_island(figure_document(figure)))
+    assert document["panels"][0]["series"][0]["y"] == [1.0, None, None, 4.0]
 
 
 def test_text_for_plotly_holds_no_markup_of_the_data():
-    names = [trace["name"] for trace in figure_spec(every_mark())["data"]]
+    names = [series["name"] for series in figure_document(every_mark())["panels"][0]["series"]]
     assert "error &lt;b&gt;" in names
 
 

@@ -26,7 +26,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from piga.reports.render.figure import INK, LIGHT, Figure, Panel, Series, bar_width
+from piga.reports.render.figure import LIGHT, Figure, Panel, Series, bar_width
 
 WIDTH = 7.2
 """Width of a figure [inch]: two columns of a journal."""
@@ -68,7 +68,7 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
     """Draw a figure, as :func:`piga.reports.draw`."""
     if ax is None:
         drawing = _new(figure, legend="outside lower left")  # the title is above
-        drawing.suptitle(_words(figure.title, WIDTH * _LETTERS), fontsize=SMALL + 1.5, color=INK)
+        drawing.suptitle(_words(figure.title, WIDTH * _LETTERS), fontsize=SMALL + 1.5, color=LIGHT["ink"])
         return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
     needed = len(figure.panels)
@@ -143,12 +143,12 @@ def _panel(
     """Draw the curves of a panel and dress its axes; ``letters`` is how many fit along x and y."""
     for series in panel.series:
         _series(series, axes)
-    axes.set_xlabel(_words(panel.x.label, letters[0]), fontsize=SMALL, color=INK)
+    axes.set_xlabel(_words(panel.x.label, letters[0]), fontsize=SMALL, color=LIGHT["ink"])
     axes.xaxis.label.set_visible(not inside)
-    axes.set_ylabel(_words(panel.y.label, letters[1]), fontsize=SMALL, color=INK)
+    axes.set_ylabel(_words(panel.y.label, letters[1]), fontsize=SMALL, color=LIGHT["ink"])
     if panel.title:
         axes.set_title(
-            _words(panel.title, letters[0]), fontsize=SMALL, fontweight="bold", loc="left", color=INK
+            _words(panel.title, letters[0]), fontsize=SMALL, fontweight="bold", loc="left", color=LIGHT["ink"]
         )
     axes.tick_params(labelsize=SMALL - 0.5, labelbottom=not inside)
     axes.spines[["top", "right"]].set_visible(False)

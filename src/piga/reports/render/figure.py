@@ -1,7 +1,7 @@
 """A figure as plain data, with quantity and unit on every axis. Also the palette of all figures.
 
-A figure function takes a result and returns a :class:`Figure`; it draws nothing. plotly.js draws it on a page
-(:mod:`piga.reports.render.interactive`), Matplotlib in files and notebooks (:mod:`piga.reports.render.axes`).
+A figure function takes a result and returns a :class:`Figure`; it draws nothing. On a page ``page.js`` draws it with plotly.js,
+from :func:`figure_document`. Matplotlib draws it in files and notebooks (:mod:`piga.reports.render.axes`).
 :class:`Plot` makes a figure curve by curve.
 
 A figure names roles, not colours. The palette is for print, screen and dark screens. Its hues follow the idea of
@@ -10,10 +10,11 @@ Okabe and Ito (vermilion, blue, bluish green); lightness differs as well, so tha
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, Literal, Self, get_args
 
@@ -121,13 +122,9 @@ class Figure(Result, Plotted):
     height: float = 3.2
     notes: tuple[str, ...] = ()
 
-    def heading(self) -> str:
-        """The first line in a notebook."""
-        return self.title
-
     def in_brief(self) -> list[tuple[str, str]]:
-        """Caption and axes."""
-        return [("caption", self.caption), ("panels", self.description)]
+        """Title, caption and axes."""
+        return [("title", self.title), ("caption", self.caption), ("panels", self.description)]
 
     def figure(self) -> Figure:
         """The figure itself."""
@@ -210,7 +207,9 @@ class Plot:
             kept = envelope_rows(y)
             x, y = np.asarray(x)[kept], np.asarray(y)[kept]
             more = {key: value if key in _WHOLE else np.asarray(value)[kept] for key, value in more.items()}
-        return self.add(Series(x, y, name, role=role, **more))
+        panel = self._panels[-1]
+        self._panels[-1] = replace(panel, series=(*panel.series, Series(x, y, name, role=role, **more)))
+        return self
 
     def points(self, x: ArrayLike, y: ArrayLike, name: str = "", role: Role = "data", **more: Any) -> Self:
         """Add points."""
@@ -234,12 +233,6 @@ class Plot:
         """Add a dashed level line over the extent of ``x``."""
         ends = np.array([np.min(x), np.max(x)], dtype=float)
         return self.dashed(ends, np.full(2, value), name, role)
-
-    def add(self, *series: Series) -> Self:
-        """Add curves that were made elsewhere."""
-        panel = self._panels[-1]
-        self._panels[-1] = replace(panel, series=(*panel.series, *series))
-        return self
 
     def caption(self, text: str, *notes: str) -> Figure:
         """The figure with its caption, and small print below."""
@@ -278,49 +271,82 @@ def bar_width(x: ArrayLike) -> float:
     return 0.8 * float(np.diff(places).min()) if places.size > 1 else 0.8
 
 
-INK: Final = "#1c2733"
-SOFT: Final = "#56626f"
-GRID: Final = "#dfe4ea"
-
-LIGHT: Final[dict[Role, str]] = {
-    "data": "#3b4e63",
-    "model": "#0f7a5c",
-    "before": "#d2691e",
-    "after": "#10528a",
-    "reference": "#23282e",
-    "warning": "#a2700a",
-    "x": "#c2491d",
-    "y": "#12805f",
-    "z": "#1e62b0",
-    "muted": "#98a2ad",
+_PALETTE: Final = {
+    "data": ("#3b4e63", "#b4c3d3"),
+    "model": ("#0f7a5c", "#4fcaa6"),
+    "before": ("#d2691e", "#f0995c"),
+    "after": ("#10528a", "#6fbcf2"),
+    "reference": ("#23282e", "#dfe5ec"),
+    "warning": ("#a2700a", "#efbb4a"),
+    "x": ("#c2491d", "#f38d68"),
+    "y": ("#12805f", "#58cfa8"),
+    "z": ("#1e62b0", "#86b6f7"),
+    "muted": ("#98a2ad", "#6b7783"),
+    "ink": ("#1c2733", "#e6ebf1"),
+    "soft": ("#56626f", "#9fabb8"),
+    "grid": ("#dfe4ea", "#303b47"),
 }
-"""Colour of each role on white paper."""
-
-_DARK: Final[dict[Role, str]] = {
-    "data": "#b4c3d3",
-    "model": "#4fcaa6",
-    "before": "#f0995c",
-    "after": "#6fbcf2",
-    "reference": "#dfe5ec",
-    "warning": "#efbb4a",
-    "x": "#f38d68",
-    "y": "#58cfa8",
-    "z": "#86b6f7",
-    "muted": "#6b7783",
-}
-"""Colour of each role on a dark screen."""
-
-_CHROME: Final = {"ink": (INK, "#e6ebf1"), "soft": (SOFT, "#9fabb8"), "grid": (GRID, "#303b47")}
-
-
-def css_names() -> dict[str, str]:
-    """CSS variable of each light colour, e.g. ``{"#10528a": "--role-after"}``."""
-    names = {light: f"--{name}" for name, (light, _) in _CHROME.items()}
-    return names | {colour: f"--role-{role}" for role, colour in LIGHT.items()}
+"""Colours of the roles, of text, of small print and of lines: on white paper, and on a dark screen."""
+LIGHT: Final = {name: pair[0] for name, pair in _PALETTE.items()}
+"""Colours on white paper."""
 
 
 def css_variables(*, dark: bool) -> str:
     """Declarations of all colours, for the light or the dark theme of a page."""
-    chrome = {f"--{name}": pair[dark] for name, pair in _CHROME.items()}
-    roles = {f"--role-{role}": colour for role, colour in (_DARK if dark else LIGHT).items()}
-    return " ".join(f"{name}: {colour};" for name, colour in (chrome | roles).items())
+    return " ".join(f"--{name}: {pair[dark]};" for name, pair in _PALETTE.items())
+
+
+_DIGITS = 6
+
+
+def figure_document(figure: Figure) -> dict[str, Any]:
+    """The figure as plain data for ``page.js``. Its texts may stand in HTML. Numbers keep six digits of their spread."""
+    rows, columns = figure.grid
+    panels = [
+        {
+            "title": _text(panel.title),
+            "x": _axis_document(panel.x),
+            "y": _axis_document(panel.y),
+            "equal": panel.equal,
+            "series": [_series_document(series, panel) for series in panel.series],
+        }
+        for panel in figure.panels
+    ]
+    place = {"rows": rows, "columns": columns, "shared": figure.shares_x, "height": figure.height}
+    return {"key": figure.key, **place, "panels": panels}
+
+
+def _text(text: str) -> str:
+    """Text as plotly.js shows it: it reads a little HTML, which data must not write."""
+    return html.escape(text, quote=False)
+
+
+def _axis_document(axis: Axis) -> dict[str, Any]:
+    words = {"quantity": _text(axis.quantity), "unit": _text(axis.unit), "label": _text(axis.label)}
+    return asdict(axis) | words | {"names": [_text(name) for name in axis.names]}
+
+
+def _series_document(series: Series, panel: Panel) -> dict[str, Any]:
+    more: dict[str, Any] = {"x": _numbers(series.x, panel.x), "y": _numbers(series.y, panel.y)}
+    if series.upper is not None:
+        more["upper"] = _numbers(series.upper, panel.y)
+    if series.error is not None:
+        more["error"] = _numbers(series.error, replace(panel.y, log=True))
+    if series.segments is not None:
+        more["segments"] = np.asarray(series.segments).astype(int).tolist()
+    if series.text is not None:
+        more["text"] = [_text(text) for text in series.text]
+    look = {"mark": series.mark, "role": series.role, "dashed": series.dashed}
+    return {"name": _text(series.name), **look, **more}
+
+
+def _numbers(values: ArrayLike, axis: Axis) -> list[float | None]:
+    """JSON numbers with six digits of the values' spread, on a logarithmic axis of each value; gaps are ``null``."""
+    array = np.asarray(values, dtype=float)
+    finite = array[np.isfinite(array)]
+    spread = (float(np.ptp(finite)) or float(np.max(np.abs(finite))) or 1.0) if finite.size else 1.0
+    decimals = _DIGITS - 1 - math.floor(math.log10(spread))
+    return [
+        None if not math.isfinite(v) else float(f"{v:.{_DIGITS}g}") if axis.log else round(v, decimals)
+        for v in array.tolist()
+    ]

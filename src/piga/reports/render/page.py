@@ -22,7 +22,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from piga._version import __version__
 from piga.errors import MissingPackageError, needed
-from piga.reports.render.figure import Figure
+from piga.reports.render.figure import Figure, css_variables, figure_document
 from piga.reports.render.numbers import aligned, ascii_text, printed
 from piga.results import Plotted, Shown
 from piga.units import wrapped
@@ -299,9 +299,6 @@ def origin(digests: Mapping[str, str]) -> Section:
 
 def page_html(page: Page) -> str:
     """The page as HTML text: the same page always gives the same bytes."""
-    from piga.reports.render.figure import css_names, css_variables
-    from piga.reports.render.interactive import figure_spec
-
     figures = page.figures()
     scripts = (resource("assets", "plotly-basic.min.js"), resource("templates", "page.js")) if figures else ()
     return template("page.html.jinja").render(
@@ -311,8 +308,7 @@ def page_html(page: Page) -> str:
         dark=css_variables(dark=True),
         scripts=scripts,
         policy=_policy(scripts),
-        palette=json_island(css_names()),
-        spec={figure.key: json_island(figure_spec(figure)) for figure in figures},
+        spec={figure.key: json_island(figure_document(figure)) for figure in figures},
     )
 
 
