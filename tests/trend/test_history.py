@@ -125,7 +125,7 @@ def test_an_outlier_and_a_shift_raise_alarms_in_words():
     assert trend.judged == 21
     assert not any("r13" in alarm for alarm in trend.alarms)
     exact = find_trend(history(t[:6], [1.0, 1.0, 1.0, 1.0, 1.5, 1.0], 1e-9))
-    assert any("record r4 of" in alarm and "shows 1500000" in alarm for alarm in exact.alarms)
+    assert any("record r4 of" in alarm and "shows 1.5000" in alarm for alarm in exact.alarms)
     assert exact["k0"].coefficient_at(1.0).std > 0.1
     t = np.arange(36) / 12.0
     shifted = 1.6e-3 + np.random.default_rng(3).normal(0, 1e-6, 36)
@@ -161,7 +161,7 @@ def test_a_quiet_history_raises_none():
 def test_remarks():
     trend = find_trend(history([0, 0.5], [1.0, 2.0], 0.1))
     assert any("need three days" in remark for remark in trend.remarks)
-    assert any("shows 1000000 ug more than the first, 7.1 standard" in remark for remark in trend.remarks)
+    assert any("shows 1.00e6 ug more than the first, 7.1 standard" in remark for remark in trend.remarks)
     assert not any("than the first" in r for r in find_trend(history([0, 0.5], [1.0, 1.3], 0.1)).remarks)
     assert trend["k0"].drift is None
     assert trend.judged == 0

@@ -36,7 +36,7 @@ def fit_line(t, y, v, shared=None) -> Line:
 
 def about(line, origin):
     """Value at ``origin`` and slope, and their covariance."""
-    moved = np.array([[1.0, origin - line.origin], [0.0, 1.0]])
+    moved = np.array([[1.0, origin - line.days.time.mean()], [0.0, 1.0]])
     return moved @ line.coefficients, moved @ line.covariance @ moved.T
 
 
@@ -151,32 +151,36 @@ SHAPES = (
 
 
 def test_each_model_predicts_by_generalised_least_squares():
-    """Each model alone, against the joint normal equations of days and forecast (Lagrange form of the best prediction)."""
+    """Each model alone, by the textbook's formulas: weights from the restricted likelihood, best prediction, its variance."""
     rng = np.random.default_rng(3)
     t = np.sort(rng.uniform(0, 4, 7))
     v, shared = rng.uniform(0.5, 2.0, 7), rng.normal(0, 1, (2, 7))
     days = of_days(t, rng.normal(0, 2, 7), v, shared=shared)
     whole = outlook(days)
-    since, ahead = t - t[0], np.array([5.0 - t[0]])
-    values, variances, on_days = [], [], []
-    for cause, still, moving in zip(whole.cause, whole.still, whole.moving, strict=True):
+    since, ahead, X = t - t[0], np.array([5.0 - t[0]]), np.stack([np.ones(7), t], axis=1)
+    values, variances, on_days, likely = [], [], [], []
+    for cause, still, moving in zip(
+        whole.cause, whole.size * whole.still, whole.size * whole.moving, strict=True
+    ):
         shape = SHAPES[cause]
         covariance = np.diag(v + still) + moving * shape(since, since)
         beside = moving * shape(since, ahead)[:, 0]
-        X = np.stack([np.ones(7), t], axis=1)
-        system = np.block([[covariance, X], [X.T, np.zeros((2, 2))]])
-        solution = np.linalg.solve(system, np.concatenate([beside, [1.0, 5.0]]))
+        per = np.linalg.inv(covariance)
+        line = np.linalg.inv(X.T @ per @ X) @ X.T @ per
+        on_days.append([1.0, 5.0] @ line + beside @ per @ (np.eye(7) - X @ line))
         own = still + moving * shape(ahead, ahead)[0, 0] + 0.3
-        values.append(solution[:7] @ days.means)
-        variances.append(own + solution[:7] @ covariance @ solution[:7] - 2 * solution[:7] @ beside)
-        on_days.append(solution[:7])
-    weights = whole.weight
+        values.append(on_days[-1] @ days.means)
+        variances.append(own + on_days[-1] @ covariance @ on_days[-1] - 2 * on_days[-1] @ beside)
+        left = days.means - X @ line @ days.means
+        sizes = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(X.T @ per @ X)[1]
+        likely.append(math.exp(-0.5 * (sizes + left @ per @ left)) / (3.0 if cause else 1.0))
+    weights = np.array(likely) / np.sum(likely)
     mean = np.dot(weights, values)
     common = np.array([0.2, -0.4])
     known = np.sum((weights @ np.array(on_days) @ shared.T - common) ** 2)
     spread = np.dot(weights, np.array(variances) + (np.array(values) - mean) ** 2)
     forecast = whole.at(5.0, 0.3, common)
-    assert sum(weights) == pytest.approx(1.0)
+    assert whole.weight == pytest.approx(weights, rel=1e-9)
     assert forecast.value == pytest.approx(mean, rel=1e-9)
     assert forecast.std == pytest.approx(math.sqrt(spread + known), rel=1e-9)
 

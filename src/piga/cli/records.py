@@ -28,6 +28,7 @@ from piga.cli.common import (
     tell,
 )
 from piga.errors import PigaError
+from piga.output import HIDDEN
 
 if TYPE_CHECKING:
     from piga.ledger.store import Record
@@ -348,23 +349,35 @@ def trend(
     For each coefficient: stability over time, drift per year, control limits, forecast, alarms.
     """
     from piga.reports.trend import brief, page, trend_document
-    from piga.trend.history import calibration_files
 
+    files = _calibration_files(sources or [])
     with progress("reading"):
-        drifts = piga.find_trend(history(sources or [], store, serial), common=common)
+        drifts = piga.find_trend(history(files, store, serial), common=common)
     date = day_in(at, "--at") if at else drifts.times[-1] + dt.timedelta(days=365)
     names = ("trend.json", "trend.html")
-    with deliver(out, "trend", names, calibration_files(sources or [])) as to:
+    with deliver(out, "trend", names, files) as to:
         document = trend_document(drifts, at=date)
         to.show(document, page(drifts, date), brief(drifts, date), *names)
 
 
-def history(sources: list[Path], store: str | None, serial: str | None) -> Iterable[HistoryEntry]:
-    """Records from files, or of an instrument in a store."""
-    from piga.trend.history import read_history
+def _calibration_files(sources: Iterable[Path]) -> list[Path]:
+    """The files that are named, and those in folders; what a command is still writing is none of them."""
+    paths: list[Path] = []
+    for source in sources:
+        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
+        inside = [path for path in inside if not any(part.startswith(HIDDEN) for part in path.parts)]
+        if not inside:
+            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
+        paths += inside
+    return list(dict.fromkeys(paths))
 
-    if sources:
-        return read_history(sources, serial)
+
+def history(files: list[Path], store: str | None, serial: str | None) -> list[HistoryEntry]:
+    """Records from files, each of the time of its evaluation, or of an instrument in a store."""
+    if files:
+        read = [(str(path), piga.Calibration.from_json(path)) for path in files]
+        read = [(name, one) for name, one in read if serial in (None, one.serial)]
+        return [(name, day_in(one.provenance.created, name), one) for name, one in read]
     if store is None:
         raise PigaError("no records are named", remedy="give calibration.json files, directories, or --store")
     if serial is None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.terms import shown_unit, term_words
 from piga.reports.render.figure import Axis, Figure, Plot, Role
-from piga.reports.render.numbers import fixed, pretty_unit, printed, rounded, short, signed
+from piga.reports.render.numbers import ascii_text, fixed, pretty_unit, printed, rounded, short, signed
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone
 from piga.results import finite
 from piga.trend.history import YEAR, CoefficientTrend, Point, Trend
@@ -23,32 +24,18 @@ from piga.units import DAY
 _GRID = 80
 
 
-@dataclass(frozen=True)
-class _TrendScale:
-    """How values of a coefficient are drawn: ``(value - origin) * factor`` in ``unit``, named ``quantity``."""
-
-    origin: float
-    factor: float
-    quantity: str
-    unit: str
-
-    def shown(self, values: np.ndarray | float) -> np.ndarray:
-        """Values on the axis."""
-        return (np.asarray(values, dtype=float) - self.origin) * self.factor
-
-
-def scale_of(trend: CoefficientTrend) -> _TrendScale:
-    """A round origin near the values, and micro-units (ppm of it for the scale factor)."""
+def axis_of(trend: CoefficientTrend) -> tuple[float, float, Axis]:
+    """How values are drawn, ``(value - origin) * factor``: a round origin near them, and micro-units (ppm of the scale factor)."""
     values = np.array([point.value for point in trend.points])
     spread = max(float(np.ptp(values)), *(point.own for point in trend.points)) or abs(float(values[0])) or 1.0
     place = -math.floor(math.log10(spread))
     origin = round(float(np.median(values)), place)
     if trend.key == "scale_factor" and origin:
-        return _TrendScale(origin, 1e6 / origin, f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
+        return origin, 1e6 / origin, Axis(f"scale_factor / {fixed(origin, max(place, 0))} − 1", "ppm")
     unit = {"1": "10⁻⁶", "1/K": "10⁻⁶/K"}.get(trend.unit) or pretty_unit(f"u{trend.unit}")
     shown = fixed(origin * 1e6, max(place - 6, 0))
     quantity = f"{trend.key} − {shown}" if origin > 0 else f"{trend.key} + {shown.lstrip('−')}"
-    return _TrendScale(origin, 1e6, quantity if origin else trend.key, unit)
+    return origin, 1e6, Axis(quantity if origin else trend.key, unit)
 
 
 DATE = Axis("date", "", dates=True)
@@ -74,16 +61,16 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
 
 
 def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: float | None) -> None:
-    scale = scale_of(trend)
+    origin, factor, axis = axis_of(trend)
 
-    def shown(forecasts: list[Forecast]) -> tuple[np.ndarray, np.ndarray]:
-        values = np.array([[one.value, one.half_width()] for one in forecasts])
-        return scale.shown(values[:, 0]), values[:, 1] * scale.factor
+    def interval(forecasts: list[Forecast]) -> tuple[np.ndarray, np.ndarray]:
+        values = np.array([[one.value - origin, one.half_width()] for one in forecasts])
+        return values[:, 0] * factor, values[:, 1] * factor
 
-    plot.panel(DATE, Axis(scale.quantity, scale.unit), trend.key)
+    plot.panel(DATE, axis, trend.key)
     if trend.line is not None:
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
-        middle, half = shown([trend.next_record(float(time)) for time in grid])
+        middle, half = interval([trend.next_record(float(time)) for time in grid])
         x = _dates(start, grid)
         plot.band(x, middle - half, middle + half, "95 % of further records").line(
             x, middle, "expected record", "model"
@@ -91,12 +78,12 @@ def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: 
     for name, role, outside in _KINDS:
         those = [point for point in trend.points if point.outside == outside]
         if those or not outside:
-            values, time = (np.array([getattr(point, what) for point in those]) for what in ("value", "time"))
-            error = np.array([point.own_half_width for point in those]) * scale.factor
+            value, time, error = np.array([(p.value, p.time, p.own_half_width) for p in those]).reshape(-1, 3).T
             names = tuple(point.record for point in those)
-            plot.points(_dates(start, time), scale.shown(values), name, role, error=error, text=names)
+            y = (value - origin) * factor
+            plot.points(_dates(start, time), y, name, role, error=error * factor, text=names)
     if ahead is not None and trend.line is not None:
-        value, half = shown([trend.coefficient_at(ahead)])
+        value, half = interval([trend.coefficient_at(ahead)])
         plot.points([_dates(start, ahead)], value, "forecast of the coefficient", "after", error=half)
 
 
@@ -121,6 +108,117 @@ def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
     }
     return by_key | {"": next(iter(by_key.values()))}
 
+
+# --- sentences ------------------------------------------------------------------------------
+
+_SHORT = 0.25
+"""Length of the history [years] below which a drift per year is an extrapolation and gets a remark (own choice)."""
+_DOUBT = 0.01
+"""Probability below which a small or large scatter contradicts the stated uncertainties."""
+
+
+def alarms(drifts: Trend) -> Iterator[str]:
+    """Records outside their forecast, a step of the level, a shift of the moving average."""
+    for trend in drifts.coefficients:
+        for point, date in zip(trend.points, drifts.times, strict=True):
+            if point.outside and point.forecast is not None:
+                value, expected, unit = _in_unit(trend, point.forecast.std, point.value, point.forecast.value)
+                yield (
+                    f"{trend.key}: record {point.record} of {date:%Y-%m-%d} shows {value}{unit}, {abs(point.score):.1f} standard "
+                    f"deviations {_side(point.score)} the forecast from earlier records, {expected}{unit} (limit 3)."
+                )
+        if trend.stepped and (step := trend.step):
+            size, unit = _in_unit(trend, step.std, abs(step.size))
+            yield (
+                f"{_since(drifts, trend, step.day)} on the values are {size}{unit} {'higher' if step.size > 0.0 else 'lower'} "
+                "than a line through the earlier ones says. Drift, scatter and forecast contain this step. If the instrument "
+                "was changed then, judge its trend from that day on."
+            )
+        for day in np.flatnonzero(np.abs(trend.average) > trend.limit)[:1].tolist():
+            yield (
+                f"{_since(drifts, trend, day)} the values stay {_side(trend.average[day])} the forecast from earlier records: "
+                "the moving average of their deviations passed its control limit."
+            )
+
+
+def _side(deviation: float) -> str:
+    return "above" if deviation > 0.0 else "below"
+
+
+def _since(drifts: Trend, trend: CoefficientTrend, day: int) -> str:
+    first = next(i for i, point in enumerate(trend.points) if point.day == day)
+    return f"{trend.key}: from {drifts.times[first]:%Y-%m-%d} (record {drifts.records[first]})"
+
+
+def _in_unit(trend: CoefficientTrend, std: float, *values: float) -> tuple[str, ...]:
+    """Values in the unit of the pages, rounded by their uncertainty; the unit follows."""
+    scale, unit = shown_unit(trend.key, trend.unit)
+    numbers = (ascii_text(rounded(value * scale, std * scale).value) for value in values)
+    return (*numbers, f" {unit}".removesuffix(" 1"))
+
+
+def remarks(drifts: Trend) -> Iterator[str]:
+    """What drifts or scatters, and what to know of the records to judge the figures."""
+    for trend in drifts.coefficients:
+        yield from _remarks_on(trend)
+    calibrations, span = drifts.calibrations, drifts.years(drifts.times[-1])
+    days = len({time.toordinal() for time in drifts.times})
+    if days < LEAST_DAYS:
+        count = f"{days} day{'s' * (days > 1)}"
+        yield (
+            f"The records are of {count}: drift and forecast need three days or more. A file counts for the day of its "
+            "evaluation; 'piga records add --measured' keeps that of the test."
+        )
+    elif span < _SHORT:
+        yield f"The records span {span * 365.25:.0f} days only: a drift per year is an extrapolation."
+    if len({calibration.terms for calibration in calibrations}) > 1:
+        yield (
+            "The records were calibrated with different terms: a coefficient may have taken over what another "
+            "record left to a term of its own."
+        )
+    of = f"of {len(calibrations)} records"
+    if alone := sum(one.type_a_only for one in calibrations):
+        yield f"{alone} {of}: {NO_REFERENCE}."
+    if without := sum(not len(one.budget) for one in calibrations):
+        yield (
+            f"{without} {of} have no uncertainty budget: their whole uncertainty counts as their own, although a part "
+            "may be shared."
+        )
+
+
+def _remarks_on(trend: CoefficientTrend) -> Iterator[str]:
+    """What differs between two days; a drift; a scatter of the days that contradicts the stated uncertainties."""
+    from scipy.special import chdtr, chdtrc
+
+    drift, line, days = trend.drift, trend.line, trend.days
+    if line is None or drift is None:
+        change = float(days.means[-1] - days.means[0])
+        std = math.sqrt(float(days.variances.sum() + np.sum((days.shared[-1] - days.shared[0]) ** 2)))
+        if len(days.means) == 2 and abs(change) > CONTROL_LIMIT * std:
+            size, unit = _in_unit(trend, std, abs(change))
+            yield (
+                f"{trend.key}: the second day shows {size}{unit} {'more' if change > 0.0 else 'less'} than the first, "
+                f"{abs(change) / std:.1f} standard uncertainties of the difference. A third day tells more."
+            )
+        return
+    if trend.drifts:
+        half = drift.half_width()
+        shown, low, high, unit = _in_unit(trend, half, drift.value, drift.value - half, drift.value + half)
+        yield f"{trend.key} drifts by {shown}{unit} per year (95 %: {low} to {high})."
+    nu = line.degrees_of_freedom
+    if chdtrc(nu, line.chi2) < _DOUBT and not trend.stepped:
+        yield (
+            f"{trend.key}: days scatter {math.sqrt(line.chi2 / nu):.1f} times as much as the records' own uncertainties "
+            "explain. The excess counts as day-to-day instability."
+        )
+    elif chdtr(nu, line.chi2) < _DOUBT:
+        yield (
+            f"{trend.key}: days scatter less than the records' own uncertainties say: these are stated too large, or contain "
+            "a part that the records share."
+        )
+
+
+# --- page -----------------------------------------------------------------------------------
 
 _UNJUDGED = "No record is judged yet: that needs records of three earlier days."
 

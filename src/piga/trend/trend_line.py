@@ -9,11 +9,11 @@ Derivations and coverage: docs/theory/trend.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga.errors import ArgumentError
 from piga.records.calibration.coefficient import coverage_factor, welch_satterthwaite
@@ -21,8 +21,6 @@ from piga.results import Array, Result
 
 _LOW_SUM = 0.2
 """Probability of the quantile that bounds the weighted residual sum from below; few values may agree by chance."""
-DOUBT = 0.01
-"""Probability below which a small or large scatter contradicts the stated uncertainties."""
 _TINY = 1e-12
 """Smallest standard uncertainty, relative to the largest value; prevents infinite weights."""
 LEAST_DAYS = 3
@@ -33,69 +31,6 @@ CONTROL_LIMIT = 3.0
 """Control limit of scores and of their moving average, in its standard deviations."""
 _BESIDE_STEP = 2
 """Fewest days before and after a step."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Days(Result):
-    """Values merged by day: mean time, weighted mean and its variance, (days,) each.
-
-    ``shared`` (days, sources) are errors common to the values. ``within`` is the variance within days beyond the
-    stated one (0 without repeats), ``freedom`` its degrees of freedom.
-    """
-
-    time: Array
-    means: Array
-    variances: Array
-    shared: Array
-    within: float
-    freedom: int
-
-
-def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Days:
-    """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
-
-    ``time``, ``values`` and ``variances`` (n,) are in the order of time; ``days`` (n,) numbers the days from 0. ``shared``
-    (sources, n) are errors common to the values. They are not in the variances.
-    """
-    y = np.asarray(values, dtype=float)
-    v = np.maximum(variances, (_TINY * float(np.abs(y).max() or 1.0)) ** 2)
-    first = np.searchsorted(days, np.arange(int(days[-1]) + 1))
-    freedom = y.size - first.size
-
-    def means(excess: float) -> tuple[Array, Array, Array]:
-        weight = 1.0 / (v + excess)
-        total = np.add.reduceat(weight, first)
-        return weight, total, y[first] + np.add.reduceat(weight * (y - y[first][days]), first) / total
-
-    def residual_sum(excess: float) -> float:
-        weight, _, mean = means(excess)
-        return float(weight @ (y - mean[days]) ** 2)
-
-    within = _excess_variance(residual_sum, freedom, float(v.mean())) if freedom else 0.0
-    weight, total, mean = means(within)
-    count = np.diff(first, append=y.size)
-    return Days(
-        time=np.add.reduceat(np.asarray(time, dtype=float), first) / count,
-        means=mean,
-        variances=1.0 / total,
-        shared=np.add.reduceat(weight * shared, first, axis=1).T / total[:, None],
-        within=within,
-        freedom=freedom,
-    )
-
-
-def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale: float) -> float:
-    """The variance at which the weighted ``residual_sum`` equals its degrees of freedom; zero if it is below them at zero.
-
-    ``scale`` is a variance of the size that is to be expected.
-    """
-    from scipy.optimize import brentq
-
-    if residual_sum(0.0) <= freedom:
-        return 0.0
-    while residual_sum(scale) > freedom:
-        scale *= 4.0
-    return scale * float(brentq(lambda part: residual_sum(part * scale) - freedom, 0.0, 1.0, xtol=1e-15))
 
 
 @dataclass(frozen=True)
@@ -123,23 +58,80 @@ class Forecast:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line(Result):
-    """Weighted least squares of the day means: a straight line about the time ``origin``, perhaps with a step.
+class Days(Result):
+    """Values merged by day: mean time, weighted mean and its variance, (days,) each.
 
-    ``coefficients`` are the value at ``origin``, the change per unit of time and, if there is one, the step. ``covariance`` is
-    theirs by the scatter, ``shared`` (coefficients, sources) the effect of errors common to the values.
-    ``excess`` is the variance ``tau^2`` beyond the mean stated one, ``stated``; zero if the stated one explains the scatter.
+    ``shared`` (days, sources) are errors common to the values. ``within`` is the variance within days beyond the
+    stated one (0 without repeats), ``freedom`` its degrees of freedom.
+    """
+
+    time: Array
+    means: Array
+    variances: Array
+    shared: Array
+    within: float
+    freedom: int
+
+
+def merge_by_day(time: Array, values: Array, variances: Array, days: NDArray[np.int64], shared: Array) -> Days:
+    """Weighted mean of each day, with a common excess variance within days (Paule and Mandel).
+
+    ``time``, ``values`` and ``variances`` (n,) are in the order of time; ``days`` (n,) numbers the days from 0. ``shared``
+    (sources, n) are errors common to the values. They are not in the variances.
+    """
+    member = np.arange(days[-1] + 1)[:, None] == days
+    v = np.maximum(variances, (_TINY * float(np.abs(values).max() or 1.0)) ** 2)
+    since, freedom = values - values[0], values.size - len(member)
+
+    def shares(excess: float) -> Array:
+        weights = member / (v + excess)
+        return weights / weights.sum(axis=1, keepdims=True)
+
+    def residual_sum(excess: float) -> float:
+        return float(np.sum((since - (shares(excess) @ since)[days]) ** 2 / (v + excess)))
+
+    within = _excess_variance(residual_sum, freedom, float(v.mean())) if freedom else 0.0
+    share = shares(within)
+    return Days(
+        time=member @ time / member.sum(axis=1),
+        means=values[0] + share @ since,
+        variances=1.0 / np.sum(member / (v + within), axis=1),
+        shared=share @ shared.T,
+        within=within,
+        freedom=freedom,
+    )
+
+
+def _excess_variance(residual_sum: Callable[[float], float], freedom: int, scale: float) -> float:
+    """The variance at which the weighted ``residual_sum`` equals its degrees of freedom; zero if it is below them at zero.
+
+    ``scale`` is a variance of the size that is to be expected.
+    """
+    from scipy.optimize import brentq
+
+    if residual_sum(0.0) <= freedom:
+        return 0.0
+    while residual_sum(scale) > freedom:
+        scale *= 4.0
+    return scale * float(brentq(lambda part: residual_sum(part * scale) - freedom, 0.0, 1.0, xtol=1e-15))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Line(Result):
+    """Weighted least squares of the day means: a straight line about their mean time, perhaps with a step.
+
+    ``coefficients`` are the value at the mean time, the change per unit of time and, if there is one, the step. ``covariance``
+    is theirs by the scatter, ``shared`` (coefficients, sources) the effect of errors common to the values.
+    ``excess`` is the variance ``tau^2`` beyond the stated one; zero if the stated one explains the scatter.
     ``scale`` is the weighted residual sum over its degrees of freedom with the excess included: 1, or less if the values
     scatter less than stated, but not less than its 20 % quantile. ``chi2`` is the sum with the stated variances alone.
     """
 
     days: Days
-    origin: float
     coefficients: Array
     covariance: Array
     shared: Array
     excess: float
-    stated: float
     scale: float
     chi2: float
     degrees_of_freedom: int
@@ -147,8 +139,8 @@ class Line(Result):
     @property
     def drift(self) -> Forecast:
         """Change per unit of time."""
-        parts = (self.covariance[1, 1], self.degrees_of_freedom), (np.sum(self.shared[1] ** 2), math.inf)
-        return _combined(1.0, self.coefficients[1], parts)
+        parts = [self.covariance[1, 1], np.sum(self.shared[1] ** 2)], [self.degrees_of_freedom, math.inf]
+        return _combined(1.0, self.coefficients[1], *parts)
 
     def record_at(self, time: float, own: float, shared: Array) -> Forecast:
         """Forecast of a record; ``own`` is its own standard uncertainty, ``shared`` the common errors."""
@@ -164,57 +156,47 @@ class Line(Result):
         ``sqrt(2/nu) (tau^2 + v)`` with the mean stated ``v``, is therefore added. In simulation this keeps the intervals
         near 95 %.
         """
-        part = np.array([1.0, time - self.origin])
-        unsure = math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + self.stated)
-        doubt = 0.5 * unsure * max(0.0, 1.0 - day / self.stated)
+        part, stated = np.array([1.0, time - self.days.time.mean()]), float(self.days.variances.mean())
+        unsure = math.sqrt(2.0 / self.degrees_of_freedom) * (self.excess + stated)
+        doubt = 0.5 * unsure * max(0.0, 1.0 - day / stated)
         scatter = float(part @ self.covariance @ part) + self.scale * (self.excess + day) + doubt
-        parts = (
-            (scatter, self.degrees_of_freedom),
-            (inside, self.days.freedom or math.inf),
-            (np.sum((part @ self.shared - shared) ** 2), math.inf),
-        )
-        return _combined(time, float(part @ self.coefficients), parts)
+        variances = [scatter, inside, np.sum((part @ self.shared - shared) ** 2)]
+        degrees = [self.degrees_of_freedom, self.days.freedom or math.inf, math.inf]
+        return _combined(time, float(part @ self.coefficients), variances, degrees)
 
 
-def _combined(time: float, value: float, parts: Sequence[tuple[float, float]]) -> Forecast:
-    variances, degrees = np.array(parts, dtype=float).T
+def _combined(time: float, value: float, variances: ArrayLike, degrees: ArrayLike) -> Forecast:
     freedom = float(welch_satterthwaite(np.sqrt(variances), degrees))
-    return Forecast(time, float(value), math.sqrt(variances.sum()), freedom)
+    return Forecast(time, float(value), math.sqrt(np.sum(variances)), freedom)
 
 
 def line_through(days: Days, step: int | None = None) -> Line:
     """The line through three days or more; ``step``: with a step before this day."""
     from scipy.special import chdtri
 
-    t, y, v = days.time, days.means, days.variances
-    origin = float(t.mean())
-    columns = [np.ones(t.size), t - origin] + ([] if step is None else [np.arange(t.size) >= step])
-    design, since = np.stack(columns, axis=1), y - y[0]
-    freedom = t.size - design.shape[1]
+    y, v = days.means - days.means[0], days.variances
+    design = _design(days.time, days.time)
+    if step is not None:
+        design = np.column_stack([design, np.arange(y.size) >= step])
+    freedom = y.size - design.shape[1]
 
     def weights(excess: float) -> tuple[Array, float]:
         """Weights (coefficients, days) of the estimates, and the weighted residual sum."""
         root = 1.0 / np.sqrt(v + excess)
-        q, r = np.linalg.qr(root[:, None] * design)
-        estimate = np.linalg.solve(r, q.T * root)
-        return estimate, float(np.sum((root * (since - design @ (estimate @ since))) ** 2))
+        estimate = np.linalg.pinv(root[:, None] * design) * root
+        return estimate, float(np.sum((root * (y - design @ (estimate @ y))) ** 2))
 
-    chi2 = weights(0.0)[1]
     excess = _excess_variance(lambda variance: weights(variance)[1], freedom, float(v.mean()))
     estimate, residual_sum = weights(excess)
     scale = max(residual_sum, float(chdtri(freedom, 1.0 - _LOW_SUM))) / freedom
-    coefficients = estimate @ since
-    coefficients[0] += y[0]
     return Line(
         days=days,
-        origin=origin,
-        coefficients=coefficients,
+        coefficients=estimate @ y + days.means[0] * (np.arange(len(estimate)) == 0),
         covariance=scale * (estimate * (v + excess)) @ estimate.T,
         shared=estimate @ days.shared,
         excess=excess,
-        stated=float(v.mean()),
         scale=scale,
-        chi2=chi2,
+        chi2=weights(0.0)[1],
         degrees_of_freedom=freedom,
     )
 
@@ -265,25 +247,24 @@ def moving_average(scores: Array) -> tuple[Array, Array]:
     return averages, limits
 
 
-# -- forecast ---------------------------------------------------------------------------------------------
-
 _SIZES = np.concatenate([[0.0], 4.0 ** np.arange(-2.0, 3.5, 0.5)])
 """Variances of the scatter that are tried, relative to that about the line (or the mean stated variance)."""
 _WALKS = ((0.0,), (0.3, 0.7, 1.0), (0.3, 0.7, 1.0))
 """Causes of the scatter, each by the shares of it that walk: each day for itself, a walk from 0, its integral."""
-_LEAST_WEIGHT, _LEAST_SHARE = 1e-6, 1e-10
-"""Least weight of a model, and least stated variance relative to the scatter; smaller ones cannot be inverted."""
+_LEAST_SHARE = 1e-10
+"""Least stated variance relative to the scatter; a smaller one cannot be inverted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outlook(Result):
-    """Days of a history and the models (m,) of their scatter.
+    """Days of a history and the models (m,) of their scatter; variances relative to ``size``, that about the line.
 
-    Each has a ``cause``, a variance that walks (``moving``), one that does not (``still``), a ``weight``, and the inverse of the
-    covariance of the days (``inverse``).
+    Each has a ``cause``, a variance that walks (``moving``), one that does not (``still``), a ``weight``, and the ``inverse`` of
+    the equations of generalised least squares.
     """
 
     days: Days
+    size: float
     cause: NDArray[np.int64]
     still: Array
     moving: Array
@@ -295,18 +276,16 @@ class Outlook(Result):
 
         ``shared`` (sources,) are its errors common to the days; None: the coefficient itself, without errors.
         """
-        days, design = self.days, _design(self.days.time, self.days.time)
-        there, since = _design(days.time, np.array([time]))[0], days.time - days.time[0]
-        ahead = np.array([time - days.time[0]])
-        beside = self.moving[:, None] * _shapes(since, ahead)[self.cause, :, 0]
-        own = self.moving * _shapes(ahead, ahead)[self.cause, 0, 0] + self.still + variance
-        alone, weighed = np.einsum("mij,mj->mi", self.inverse, beside), self.inverse @ design
-        off = there - alone @ design
-        direction = np.linalg.solve(design.T @ weighed, off[:, :, None])
-        on_days = alone + (weighed @ direction)[:, :, 0]  # weights (m, days)
+        days, start = self.days, self.days.time[0]
+        beside = self.moving[:, None] * _shapes(days.time - start, time - start)[self.cause]
+        own = self.moving * _shapes(time - start, time - start)[self.cause] + self.still
+        line = np.broadcast_to(_design(days.time, time), (len(beside), 2))
+        right = np.concatenate([beside, line], axis=1)
+        solution = np.einsum("mij,mj->mi", self.inverse, right)
+        variances = self.size * (own - np.sum(right * solution, axis=1)) + variance
+        on_days = solution[:, : days.time.size]  # weights (m, days)
         values = on_days @ (days.means - days.means[0])
         mean = float(self.weight @ values)
-        variances = own - np.sum(alone * beside, axis=1) + np.sum(direction[:, :, 0] * off, axis=1)
         spread = float(self.weight @ (variances + (values - mean) ** 2))
         common = self.weight @ on_days @ days.shared - (0.0 if shared is None else shared)
         std = math.sqrt(max(spread, 0.0) + float(np.sum(common**2)))
@@ -318,37 +297,39 @@ def outlook(days: Days) -> Outlook:
     n = days.time.size
     if n < LEAST_DAYS:
         raise ArgumentError("a forecast needs records of at least three days", remedy="wait for more records")
-    since, design = days.time - days.time[0], _design(days.time, days.time)
-    q, _ = np.linalg.qr(design)
-    about_line = np.eye(n) - q @ q.T
-    left = about_line @ days.means
-    size = max(float(days.variances.mean()), float(left @ left) / (n - 2))
-    shapes = _shapes(since, since)
+    since, y = days.time - days.time[0], days.means - days.means[0]
+    design, shapes = _design(days.time, days.time), _shapes(since[:, None], since)
+    about_line = np.eye(n) - design @ np.linalg.pinv(design)
+    size = max(float(days.variances.mean()), float(y @ about_line @ y) / (n - 2))
     units = np.sum(about_line * shapes, axis=(1, 2)) / (n - 2)
     units[0] = 1.0  # nothing walks
-    kinds = [(cause, share, 1.0 / len(shares)) for cause, shares in enumerate(_WALKS) for share in shares]
-    cause, share, before = (np.repeat(column, _SIZES.size) for column in zip(*kinds, strict=True))
-    part = np.tile(_SIZES * size, len(kinds))
-    still, moving = part * (1.0 - share), part * share / units[cause]
-    stated = np.maximum(days.variances, _LEAST_SHARE * size)
-    covariance = moving[:, None, None] * shapes[cause] + (stated + still[:, None])[:, None] * np.eye(n)
-    factor = np.linalg.cholesky(covariance)
-    whitened = np.linalg.solve(factor, np.column_stack([design, days.means - days.means[0]]))
-    r = np.abs(np.linalg.qr(whitened, mode="r"))
-    chance = np.log(before) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    chance -= np.log(r[:, 0, 0] * r[:, 1, 1]) + 0.5 * r[:, 2, 2] ** 2
+    kinds = [
+        (cause, part * (1.0 - share), part * share / units[cause], 1.0 / len(shares))
+        for cause, shares in enumerate(_WALKS)
+        for share in shares
+        for part in _SIZES
+    ]
+    number, still, moving, before = np.array(kinds).T
+    cause = number.astype(np.int64)
+    equations = np.zeros((len(kinds), n + 2, n + 2))
+    stated = np.maximum(days.variances / size, _LEAST_SHARE)
+    equations[:, :n, :n] = moving[:, None, None] * shapes[cause]
+    equations[:, range(n), range(n)] += stated + still[:, None]
+    equations[:, :n, n:], equations[:, n:, :n] = design, design.T
+    inverse = np.asarray(np.linalg.inv(equations), dtype=np.float64)
+    left = np.einsum("i,mij,j->m", y, inverse[:, :n, :n], y) / size
+    chance = np.log(before) - 0.5 * (np.linalg.slogdet(equations)[1] + left)
     weight = np.exp(chance - chance.max())
-    kept = weight >= _LEAST_WEIGHT * weight.sum()
-    weight = weight[kept] / weight[kept].sum()
-    return Outlook(days, cause[kept], still[kept], moving[kept], weight, np.linalg.inv(covariance[kept]))
+    return Outlook(days, size, cause, still, moving, weight / weight.sum(), inverse)
 
 
-def _shapes(a: Array, b: Array) -> Array:
-    """Covariance (3, n, m) of each cause between days at times ``a`` (n,) and ``b`` (m,) since the first one."""
-    least, most = np.minimum.outer(a, b), np.maximum.outer(a, b)
+def _shapes(a: ArrayLike, b: ArrayLike) -> Array:
+    """Covariance (3, ...) of each cause between times ``a`` and ``b`` since the first day."""
+    least, most = np.minimum(a, b), np.maximum(a, b)
     return np.stack([0.0 * least, least, least**2 * (3.0 * most - least) / 6.0])
 
 
-def _design(days: Array, time: Array) -> Array:
-    """Columns (n, 2) of a line about the middle of the days, at times (n,)."""
-    return np.column_stack([np.ones(time.size), (time - days.mean()) / np.ptp(days)])
+def _design(days: Array, time: ArrayLike) -> Array:
+    """Columns (..., 2) of a line about the middle of the days, at times."""
+    since = np.asarray(time) - days.mean()
+    return np.stack([np.ones_like(since), since], axis=-1)
