@@ -70,21 +70,28 @@ def columns_of(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> d
     return {name: Column(np.array([row[name] for row in rows]), units.get(name, "1")) for name in names}
 
 
-def arrow_table(columns: dict[str, Column], metadata: dict[str, str] | None = None) -> pa.Table:
-    """Columns as an Arrow table. The field of each has its ``unit``. Numbers share their memory."""
+def arrow_table(
+    columns: Mapping[str, Column], metadata: dict[str, str] | None = None, empty_cells: bool = False
+) -> pa.Table:
+    """Columns as an Arrow table. The field of each has its ``unit``. Numbers share their memory.
+
+    ``empty_cells``: nan becomes null.
+    """
     import pyarrow as pa
 
-    arrays = {name: _array(column) for name, column in columns.items()}
-    fields = [pa.field(name, arrays[name].type, metadata={"unit": columns[name].unit}) for name in columns]
+    arrays = {name: _array(column, empty_cells) for name, column in columns.items()}
+    fields = [
+        pa.field(name, array.type, empty_cells, {"unit": columns[name].unit}) for name, array in arrays.items()
+    ]
     return pa.Table.from_arrays(list(arrays.values()), schema=pa.schema(fields, metadata=metadata))
 
 
-def _array(column: Column) -> pa.Array:
+def _array(column: Column, empty_cells: bool) -> pa.Array:
     if column.labels is not None:
         return label_column(column.values.astype(np.int32), column.labels)
     if column.values.dtype.kind in "OU":
         return text_column([str(value) for value in column.values])
-    return number_column(column.values)
+    return number_column(column.values, empty_cells)
 
 
 def number_column(values: NDArray, empty_cells: bool = False) -> Any:

@@ -77,9 +77,9 @@ def test_a_hidden_vibration_is_suggested_and_its_column_is_needed() -> None:
     with pytest.raises(piga.PigaError, match="'k2v' needs the vibration"):
         piga.calibrate(bare)
     result = piga.calibrate(run())
-    with pytest.raises(piga.PigaError, match="the record has no vibration"):
+    with pytest.raises(piga.PigaError, match="no vibration is given"):
         piga.compensate(bare, result)
-    with pytest.raises(piga.PigaError, match="'vibration' is missing"):
+    with pytest.raises(piga.PigaError, match="no vibration is given"):
         Compensator(result, kind="rate", step=0.1).push({"t": [0.0], "output": [0.6], "f": [[G, 0.0, 0.0]]})
     summary = RunSummary.of(run(seed=2))
     joined = piga.calibrate([run(), summary])

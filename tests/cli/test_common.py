@@ -77,11 +77,10 @@ def test_an_output_that_takes_nothing(run: Path, shell: str, text: int, json_cod
 
 @pytest.mark.skipif(sys.platform == "win32", reason="redirections of a POSIX shell")
 @pytest.mark.parametrize(("shell", "closed"), [(">&-", "output"), ("<&-", "input")])
-@pytest.mark.parametrize("arrow", [False, True])
-def test_a_live_stream_with_a_closed_end(tmp_path: Path, shell: str, closed: str, arrow: bool) -> None:
+def test_a_live_stream_with_a_closed_end(tmp_path: Path, shell: str, closed: str) -> None:
     """The rows are the result: they are not computed to be dropped."""
     calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3}).to_json(tmp_path / "c.json")
-    words = ["compensate", "-", "--calibration", tmp_path / "c.json", *(["--arrow"] if arrow else [])]
+    words = ["compensate", "-", "--calibration", tmp_path / "c.json"]
     done = command(words, shell=shell)
     assert done.returncode == 2
     assert f"standard {closed} is closed".encode() in done.stderr

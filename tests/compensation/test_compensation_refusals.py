@@ -47,9 +47,9 @@ def test_a_stream_of_another_kind_or_without_its_temperature() -> None:
     with pytest.raises(piga.ArgumentError, match="kind: 'counts' is neither 'angle' nor 'rate'"):
         piga.Compensator(calibration_of(CAL), kind="counts")
     warm = calibration_of({**CAL, "k0_T": 1e-5})
-    with pytest.raises(piga.ArgumentError, match="the calibration has temperature terms"):
+    with pytest.raises(piga.CalibrationError, match="the calibration has temperature terms"):
         piga.Compensator(warm).push({"t": T, "output": T, "f": F})
-    with pytest.raises(piga.CalibrationError, match="the record has no temperature"):
+    with pytest.raises(piga.CalibrationError, match="no temperature is given"):
         piga.compensate(run_of(T, F, phi=0.3), warm)
 
 
@@ -136,18 +136,18 @@ def test_samples_of_a_set_that_do_not_fit(given: dict[str, np.ndarray], message:
     assert before == 1
 
 
-def test_temperature_of_a_set() -> None:
-    warm = [replace(item, calibration=calibration_of({**CAL, "k0_T": 1e-4})) for item in mounted()]
-    with pytest.raises(
-        piga.ArgumentError, match="temperature: missing, and a calibration has temperature terms"
-    ):
-        SetCompensator(warm).push(T, PSI)
-    cold = SetCompensator(warm).push(T, PSI, temperature=np.full((3, 60), 293.15)).f
-    hot = SetCompensator(warm).push(T, PSI, temperature=np.full((3, 60), 303.15)).f
-    plain = SetCompensator(mounted()).push(T, PSI).f
-    assert np.abs(cold[1:] - plain[1:]).max() < 1e-12
-    change = 10.0 * 1e-4 * G0
-    assert np.abs((plain - hot)[1:] - change).max() < 2.0 * TAN_BETA * change  # each couples into the others
+@pytest.mark.parametrize(
+    ("values", "logged", "change"),
+    [({"k0_T": 1e-4}, {"temperature": 303.15}, 1e-3), ({"k2v": 1e-3}, {"vibration": 2.0 * G0}, 4e-3)],
+)
+def test_what_else_a_set_must_log(values: dict[str, float], logged: dict[str, float], change: float) -> None:
+    """The change is in g; each couples into the others."""
+    items = mounted(**values)
+    with pytest.raises(piga.CalibrationError, match=f"no {next(iter(logged))} is given"):
+        SetCompensator(items).push(T, PSI)
+    columns = {name: np.full((3, 60), value) for name, value in logged.items()}
+    moved = SetCompensator(mounted()).push(T, PSI).f - SetCompensator(items).push(T, PSI, **columns).f
+    assert np.abs(moved[1:] - change * G0).max() < 2.0 * TAN_BETA * change * G0
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,6 @@ def compensate(
     other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
     as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
     kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
-    arrow: Annotated[bool, flag("--arrow", "Live stream: Arrow record batches instead of lines.")] = False,
     report: Annotated[Path | None, option("FILE.html", "Also write a page with figures.")] = None,
 ) -> None:
     """Compensate a run or live data: specific force and velocity.
@@ -179,7 +178,7 @@ def compensate(
         if given[name]:
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
     if live:
-        _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind, **options), arrow)
+        _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind, **options))
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
@@ -341,16 +340,13 @@ def _together(path: Path, details: bool, options: dict[str, Any]) -> _Solved:
     return _Solved(result, records, used, mounted, inputs, names, {"method": "exact"})
 
 
-def _live(stream: piga.Compensator, arrow: bool) -> None:
+def _live(stream: piga.Compensator) -> None:
     """Compensate standard input until it ends."""
-    from piga.compensation.live import compensate_arrow, compensate_lines
+    from piga.compensation.compensator import compensate_lines
 
     closed = "input" if sys.stdin is None else "output" if getattr(sys.stdout, "name", "") == os.devnull else ""
     if closed:
         raise PigaError(f"standard {closed} is closed", remedy="connect it: ... | piga compensate - ... > FILE")
-    if arrow:
-        compensate_arrow(sys.stdin.buffer, sys.stdout.buffer, stream)
-    else:
-        if isinstance(sys.stdin, io.TextIOWrapper):
-            sys.stdin.reconfigure(encoding="utf-8-sig", errors="replace")
-        compensate_lines(sys.stdin, sys.stdout, stream)
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(encoding="utf-8-sig", errors="replace")
+    compensate_lines(sys.stdin, sys.stdout, stream)

@@ -126,6 +126,7 @@ _GONE = {
     **{f"records add {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
     "records backup": "an export of all records is one: piga records export FILE --store STORE",
     "certificate issue --issued": "write the date into the file of --data: [certificate] issued; without it: today",
+    "compensate --arrow": "send lines, or push columns into piga.Compensator in Python",
     "compensate --resume": "run the same command again without it",
     "platform simulate --every": "take every N-th row of the Parquet file",
     **dict.fromkeys(("init --yes", "init -y"), "leave it out: init does not ask"),

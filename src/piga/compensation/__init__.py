@@ -1,8 +1,7 @@
 """Compensation: specific force and velocity from the output of calibrated instruments."""
 
 from piga.compensation.compensator import Compensator, compensate
-from piga.compensation.model import FLAGS, Limits, Phase
-from piga.compensation.phase import PhaseFinder, identify_phase
+from piga.compensation.model import FLAGS, Limits, Phase, PhaseFinder, identify_phase
 from piga.compensation.result import Compensated, CompensatedSet, Resampler
 from piga.compensation.sets import Mounted, SetCompensator, compensate_set
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Mapping
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +25,10 @@ from piga.compensation.model import (
     make_model,
     phases,
     velocity_variance,
+    with_phase,
 )
 from piga.compensation.result import Compensated, notes_on, notes_on_samples
-from piga.errors import ArgumentError, CalibrationError
+from piga.errors import ArgumentError, CalibrationError, DataError, PigaError
 from piga.progress import Progress, report
 from piga.records.arrays import empty, spans
 from piga.records.calibration.calibration import Calibration
@@ -60,8 +63,6 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "t": (), "output": (), "f": (3,), "base_rate": (3,), "temperature": (), "angle": (), "vibration": ()
 }  # fmt: skip
 """Columns of a chunk, and the shape of a row of each."""
-_LOGGED = {"temperature": ("temperature terms", "K", "degC"), "vibration": ("the term k2v", "m/s^2", "g")}
-"""Columns that terms of the calibration need: the terms, the unit in a chunk, a usual unit in a file."""
 
 
 class Compensator:
@@ -83,7 +84,7 @@ class Compensator:
         Segment whose phase is used (per-segment calibrations), or the phase itself.
     step:
         Nominal interval [s]. It is used to detect gaps and sets the noise of a rate sample that begins a stretch (nan
-        without). None: gaps are detected with the median interval of a :class:`piga.Run`, or else with the first interval.
+        without). None: gaps are detected with the first interval.
     uncertainty, limits, max_age_days:
         As for :func:`piga.compensate`. ``ax`` and ``dv`` do not depend on ``uncertainty``, to the bit.
     state:
@@ -116,8 +117,10 @@ class Compensator:
             )
         self.method = check_method(method, calibration)
         self.serial, self.notes = calibration.serial, notes_on(calibration)
-        self._kind, self._calibration, self._phase = kind, calibration, phase
-        self._uncertainty, self._limits, self._typical = uncertainty, limits, np.nan if step is None else step
+        self._kind, self._calibration = kind, with_phase(calibration, phase)
+        typical = math.nan if step is None else step
+        self._make = partial(make_model, self._calibration, method=self.method, limits=limits, typical=typical)
+        self._uncertainty = uncertainty
         self._age = age_flag(calibration, max_age_days)
         self._models: dict[str | None, tuple[Model, Array]] = {}
         self.take_segment(segment)
@@ -149,14 +152,10 @@ class Compensator:
             If the calibration does not contain it.
         """
         if segment not in self._models:
-            model = make_model(
-                self._calibration, method=self.method, segment=segment, phase=self._phase,
-                limits=self._limits, typical=self._typical,
-            )  # fmt: skip
-            self._models[segment] = model, np.zeros(SUMS)
+            self._models[segment] = self._make(segment=segment), np.zeros(SUMS)
         self.model, self._sums = self._models[segment]
 
-    def push(self, chunk: Mapping[str, ArrayLike] | Run) -> Compensated:
+    def push(self, chunk: Mapping[str, ArrayLike]) -> Compensated:
         """Compensate the next samples.
 
         Parameters
@@ -164,23 +163,18 @@ class Compensator:
         chunk:
             A mapping of columns in SI: ``t`` (n,) [s], ``output`` (n,), ``f`` (n, 3) [m/s^2]. Optional:
             ``base_rate`` (n, 3) [rad/s], ``temperature`` (n,) [K], ``angle`` (n,) [rad] recorded with a rate,
-            ``vibration`` (n,) [m/s^2], ``begins`` (n,). Single samples may be plain numbers. Or a :class:`piga.Run` that
-            continues the previous one. Without ``begins``, a stretch begins where time goes back or
-            leaves a gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
+            ``vibration`` (n,) [m/s^2], ``begins`` (n,). Single samples may be plain numbers. Without ``begins``, a stretch
+            begins where time goes back or leaves a gap (more than 1.5 nominal intervals), as in :func:`piga.read_run`.
 
         Raises
         ------
         ArgumentError
             If a column is missing, has another length, or contains a number that is not finite.
+        CalibrationError
+            If the calibration has terms of the temperature or the vibration, and its column is missing.
         """
-        columns = _checked(self._columns_of(chunk) if isinstance(chunk, Run) else chunk)
-        for name in self.model.needs:
-            terms, unit, _ = _LOGGED[name]
-            if name not in columns:
-                raise ArgumentError(
-                    f"chunk: the key '{name}' is missing, and the calibration has {terms}",
-                    remedy=f"add '{name}' [{unit}], one value per time",
-                )
+        columns = _checked(chunk)
+        self.model.check_logged(columns)
         if "begins" not in columns:
             columns["begins"] = find_begins(self._state, columns["t"])
         rows = empty_rows(columns["t"].size, self._uncertainty)
@@ -205,14 +199,6 @@ class Compensator:
             check_finite(columns)
             raise ArgumentError("chunk: its numbers are too large to compute with", remedy="check the units")
         self._sums[:] = rows.sums
-
-    def _columns_of(self, run: Run) -> dict[str, Any]:
-        """Columns of a record. It has its own stretches; only its first sample is checked against the stream."""
-        if self._state["nominal"][0] == 0.0:
-            self._state["nominal"] = run.median_step
-        begins = run.begins.copy()
-        begins[:1] = find_begins(self._state, run.t[:1])
-        return _columns_of(run, slice(None)) | {"begins": begins}
 
 
 def _columns_of(run: Run, rows: slice) -> dict[str, Any]:
@@ -306,39 +292,26 @@ def compensate(
         If the calibration is of another instrument, or if the phase of a segment is missing.
     """
     check_serial(record, calibration, force)
-    check_phase_kept(record, calibration, phase)
+    check_phase_kept(record, with_phase(calibration, phase))
     typical = (record.median_step or 1.0) if record.kind == "rate" else None
     stream = Compensator(
         calibration, kind="rate" if record.kind == "rate" else "angle", method=method, phase=phase,
         segment=record.labels[int(record.segment_index[0])], step=typical, uncertainty=uncertainty,
         limits=limits, max_age_days=max_age_days,
     )  # fmt: skip
-    for name in stream.model.needs:
-        terms, _, unit = _LOGGED[name]
-        if getattr(record, name) is None:
-            raise CalibrationError(
-                f"the calibration has {terms}, but the record has no {name}",
-                remedy=f"add [data] {name} = {{ column = '...', unit = '{unit}' }}",
-            )
+    stream.model.check_logged(_columns_of(record, slice(0)))
     rows = empty_rows(record.size, uncertainty)
     report(progress, 0, record.size, "compensating")
-    for part in _pieces_of(record, stream):
-        stream.push_into(
-            _columns_of(record, part),
-            Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums),
-        )
-        report(progress, part.stop, record.size, "compensating")
+    for start, stop in pairwise(record.segment_edges().tolist()):
+        stream.take_segment(record.labels[int(record.segment_index[start])])
+        for span in spans(stop - start):
+            part = slice(start + span.start, start + span.stop)
+            some = Rows(rows.ax[part], rows.dv[part], rows.u[part], rows.flags[part], rows.sums)
+            stream.push_into(_columns_of(record, part), some)
+            report(progress, part.stop, record.size, "compensating")
     notes, made_from = stream.notes + stream.remarks(), (record, calibration)
     u_velocity = stream.u_velocity()
     return Compensated(record.t, *rows[:4], record.serial, stream.method, notes, u_velocity, made_from)
-
-
-def _pieces_of(record: Run, stream: Compensator) -> Iterator[slice]:
-    """Row ranges of a record with one phase each; the stream takes the phase."""
-    for start, stop in pairwise(record.segment_edges().tolist()):
-        stream.take_segment(record.labels[int(record.segment_index[start])])
-        for part in spans(stop - start):
-            yield slice(start + part.start, start + part.stop)
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
@@ -355,12 +328,12 @@ def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
         )
 
 
-def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None, *, alone: bool = True) -> None:
+def check_phase_kept(record: Run, calibration: Calibration, *, alone: bool = True) -> None:
     """Refuse a shared phase for a record that lost the zero of its output angle.
 
     A record of a set (``alone`` False) must always have one phase.
     """
-    shared = not alone or phase is not None or None in phases(calibration)
+    shared = not alone or None in phases(calibration)
     turning = any(c.name == "tan_beta" or harmonic(c.name) for c in calibration.coefficients)
     if not shared or not turning or len(set(record.phase_group)) < 2:
         return
@@ -371,3 +344,79 @@ def check_phase_kept(record: Run, calibration: Calibration, phase: Phase | None,
         "record",
         remedy="calibrate with phases = 'per-segment', or compensate each part by itself, with its own phase",
     )
+
+
+_FORCE, _RATE = ("fx", "fy", "fz"), ("wx", "wy", "wz")
+_NEEDED = ("t", "output", *_FORCE)
+_KNOWN = (*_NEEDED, *_RATE, "temperature", "angle", "vibration")
+_MAX_LINE = 1 << 16
+"""Longest line [characters]; a row of eleven numbers has about 250."""
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+def compensate_lines(source: IO[str], sink: IO[str], stream: Compensator) -> int:
+    """Compensate comma-separated lines. The first line names the columns; every other line is answered at once.
+
+    Columns are in SI: ``t, output, fx, fy, fz`` and optionally ``wx, wy, wz, temperature, angle, vibration``. Those of the answer
+    are ``t, ax, dv, u_ax, flags``. A number consists of the digits 0 to 9, a point and an exponent. Other notations are refused.
+
+    Returns
+    -------
+    rows:
+        Lines compensated.
+    """
+    header = [name.strip() for name in _line(source, 1).split(",")]
+    _check_names(header)
+    rows, number = 0, 1
+    while line := _line(source, number := number + 1):
+        if not line.strip():
+            continue
+        row = _row(line, header, number)
+        chunk: dict[str, Any] = {name: value for name, value in row.items() if name not in (*_FORCE, *_RATE)}
+        chunk |= {"f": [row[name] for name in _FORCE]}
+        chunk |= {"base_rate": [row[name] for name in _RATE]} if _RATE[0] in row else {}
+        try:
+            columns = stream.push(chunk).columns()
+        except PigaError as error:
+            raise DataError(f"standard input: line {number}: {error.message}", remedy=error.remedy) from None
+        if rows == 0:
+            sink.write(",".join(columns) + "\n")
+        sink.write(",".join(repr(column[0].item()) for column in columns.values()) + "\n")
+        sink.flush()
+        rows += 1
+    return rows
+
+
+def _line(source: IO[str], number: int) -> str:
+    """The next line; empty at the end."""
+    line = source.readline(_MAX_LINE)
+    if line and not line.endswith("\n"):
+        long = len(line) >= _MAX_LINE
+        what = f"is longer than {_MAX_LINE} characters" if long else "has no end: the stream was cut off"
+        raise DataError(f"standard input: line {number} {what}", remedy="end every line with a line feed")
+    return line
+
+
+def _row(line: str, header: list[str], number: int) -> dict[str, float]:
+    cells = [cell.strip() for cell in line.split(",")]
+    values = [float(cell) if _NUMBER.fullmatch(cell) else math.nan for cell in cells]
+    if len(cells) != len(header) or not all(map(math.isfinite, values)):
+        raise DataError(
+            f"standard input: line {number}: '{line.strip()[:60]}' is not a row of {len(header)} numbers",
+            remedy="send finite numbers separated by commas",
+        )
+    return dict(zip(header, values, strict=True))
+
+
+def _check_names(names: list[str]) -> None:
+    needed = (*_NEEDED, *(_RATE if set(_RATE) & set(names) else ()))
+    for name in (*needed, *names):
+        if name not in names:
+            what = "there is no column"
+        elif name not in _KNOWN:
+            what = "unknown column"
+        elif names.count(name) > 1:
+            what = "twice the column"
+        else:
+            continue
+        raise DataError(f"standard input: {what} '{name[:60]}'", remedy=f"columns in SI: {', '.join(_KNOWN)}")

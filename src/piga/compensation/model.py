@@ -1,21 +1,24 @@
-"""Coefficients of a calibration for compensation (SI), their range of validity, and the flags of rows."""
+"""Coefficients of a calibration for compensation (SI), their range of validity, the flags of rows, and the phase at power-up."""
 
 from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Container, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation import terms as kernels
+from piga._kernels.estimation import coupling_columns, innovation_weights, whiten
 from piga.errors import CalibrationError
+from piga.records.arrays import integrated_rate
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
+from piga.records.run import Run
 from piga.records.terms import harmonic, si_factor
 from piga.results import Array
 from piga.terms import THERMAL_TERMS
@@ -54,18 +57,15 @@ class Limits:
         span = ranges.get("a_x") or ((min(means), max(means)) if len(means) > 2 else None)
         transverse, warm = ranges.get("a_t"), ranges.get("temperature")
         return Limits(
-            a_x=_widened(span) if span else (-math.inf, math.inf),
+            a_x=_widened(*span, _RANGE_MARGIN * max(map(abs, span))) if span else (-math.inf, math.inf),
             a_t=float(transverse[1]) * (1.0 + _RANGE_MARGIN) if transverse else math.inf,
-            temperature=_widened(warm, 2.0) if warm else (-math.inf, math.inf),
+            temperature=_widened(*warm, 2.0) if warm else (-math.inf, math.inf),
         )
 
 
-def _widened(span: Any, least: float = 0.0) -> tuple[float, float]:
-    low, high = float(span[0]), float(span[1])
-    margin = max(
-        _RANGE_MARGIN * (high - low), least, _RANGE_MARGIN * max(abs(low), abs(high)) if least == 0.0 else 0.0
-    )
-    return low - margin, high + margin
+def _widened(low: float, high: float, least: float) -> tuple[float, float]:
+    margin = max(_RANGE_MARGIN * (high - low), least)
+    return float(low - margin), float(high + margin)
 
 
 def age_flag(calibration: Calibration, max_age_days: float | None) -> int:
@@ -92,21 +92,47 @@ class Phase:
     std: float = 0.0
 
 
+def with_phase(calibration: Calibration, phase: Phase | None) -> Calibration:
+    """The calibration with this phase in place of its own; None: as it is."""
+    if phase is None:
+        return calibration
+    kept = [i for i, c in enumerate(calibration.coefficients) if c.name != "phi"]
+    coefficients = [calibration.coefficients[i] for i in kept]
+    covariance = np.zeros((len(kept) + 1, len(kept) + 1))
+    covariance[:-1, :-1], covariance[-1, -1] = calibration.covariance[np.ix_(kept, kept)], phase.std**2
+    coefficients.append(Coefficient("phi", phase.value, phase.std, "rad"))
+    return replace(calibration, coefficients=tuple(coefficients), covariance=covariance)
+
+
 @dataclass(frozen=True)
 class Model:
     """One instrument for one phase, for the kernels.
 
     ``instrument``: one record of :class:`piga._kernels.compensation.data.Instrument`. ``needs``: columns that its terms need, of
-    temperature and vibration. ``places``: place of each uncertain coefficient in the calibration; -1: a phase that is given, with
-    the standard uncertainty ``phase_std`` [rad]. ``scale``: what the output is multiplied by; it is not 1 for a direct instrument,
-    whose output is made a small angle that never turns far.
+    temperature and vibration. ``places``: place of each uncertain coefficient in the calibration; ``units``: what one of its
+    units there is in the kernels. ``scale``: what the output is multiplied by; it is not 1 for a direct instrument, whose output
+    is made a small angle that never turns far.
     """
 
     instrument: Any
     needs: tuple[str, ...]
-    places: tuple[int, ...]
-    phase_std: float
+    places: NDArray[np.int64]
+    units: Array
     scale: float = 1.0
+
+    def check_logged(self, names: Container[str]) -> None:
+        """Refuse samples without a column that terms of the calibration need."""
+        for name in self.needs:
+            if name not in names:
+                terms, unit = _LOGGED[name]
+                raise CalibrationError(
+                    f"the calibration has {terms}, and no {name} is given",
+                    remedy=f"add [data] {name} = {{ column = '...', unit = '{unit}' }}, or '{name}' [{unit}] to the samples",
+                )
+
+
+_LOGGED = {"temperature": ("temperature terms", "K"), "vibration": ("the term k2v", "m/s^2")}
+"""Columns that terms of the calibration need: the terms, the unit."""
 
 
 def make_model(
@@ -114,7 +140,6 @@ def make_model(
     *,
     method: str = "exact",
     segment: str | None = None,
-    phase: Phase | None = None,
     limits: Limits | None = None,
     typical: float = math.nan,
 ) -> Model:
@@ -122,10 +147,8 @@ def make_model(
 
     ``typical`` [s]: the time that a rate sample stands for at the start of a stretch.
     """
-    used = _used_coefficients(calibration, segment, phase)
+    used = _used_coefficients(calibration, segment)
     values = {c.name: c.value * si_factor(c.name) for c in used}
-    if phase is not None:
-        values["phi"] = phase.value
     instrument = at.records(1, at.INSTRUMENT)
     for name in at.TERMS:
         instrument[name] = values.get(name, 0.0)
@@ -146,24 +169,31 @@ def make_model(
     }.items():  # fmt: skip
         instrument[name] = value
     orders = sorted({wave[1] for name in values if (wave := harmonic(name)) and wave[1] > 1})
-    codes, factor, places = _covariance_factor(calibration, used, phase, scale)
-    if max(len(orders), codes.size) > at.MOST_TERMS:
+    certain = np.diag(calibration.covariance) <= 0.0
+    places = np.array(
+        [i for i, c in enumerate(calibration.coefficients) if c in used and not certain[i]], np.int64
+    )
+    uncertain = [calibration.coefficients[i] for i in places]
+    codes = [_code(c.name) for c in uncertain]
+    units = np.array([si_factor(c.name) * (scale if c.name == "scale_factor" else 1.0) for c in uncertain])
+    if max(len(orders), len(codes)) > at.MOST_TERMS:
         raise CalibrationError(
-            f"the calibration holds {codes.size} uncertain coefficients and harmonics of {len(orders)} orders; at most "
+            f"the calibration holds {len(codes)} uncertain coefficients and harmonics of {len(orders)} orders; at most "
             f"{at.MOST_TERMS} of each are supported",
             remedy="calibrate again with fewer terms",
         )
-    one = instrument[0]
-    one["waves"], one["uncertain"], one["rank"] = len(orders), codes.size, factor.shape[0]
+    one, count = instrument[0], len(codes)
+    one["waves"], one["uncertain"] = len(orders), count
     for i, n in enumerate(orders):
         one["orders"][i] = n
         one["sines"][i], one["cosines"][i] = (values.get(f"{wave}{n}", 0.0) for wave in "sc")
-    one["codes"][: codes.size], one["factor"][: factor.shape[0], : codes.size] = codes, factor
+    one["codes"][:count] = codes
+    one["factor"][:count, :count] = _triangle(calibration.covariance[np.ix_(places, places)]) * units
     needs = (
         *["temperature"] * any(name in values for name in THERMAL_TERMS),
         *["vibration"] * ("k2v" in values),
     )
-    return Model(instrument, needs, places, 0.0 if phase is None else phase.std, scale)
+    return Model(instrument, needs, places, units, scale)
 
 
 def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Array]]) -> float:
@@ -172,22 +202,15 @@ def velocity_variance(calibration: Calibration, parts: Iterable[tuple[Model, Arr
     ``parts``: a model for each segment, and its sums. The coefficients act on all rows together, the noise of the angle at the
     ends of each stretch only (docs/theory/compensation).
     """
-    slope, given, variance = np.zeros(len(calibration.coefficients)), 0.0, 0.0
-    total = np.zeros(kernels.SUMS)
+    slope, total, variance = np.zeros(len(calibration.coefficients)), np.zeros(kernels.SUMS), 0.0
     for model, sums in parts:
         total += sums
-        for place, value in zip(model.places, sums, strict=False):
-            if place < 0:
-                given += value * model.phase_std
-            else:
-                is_scale = calibration.coefficients[place].name == "scale_factor"
-                slope[place] += value * (model.scale if is_scale else 1.0)
+        slope[model.places] += sums[: model.places.size] * model.units
         p = model.instrument[0]
         gain = sums[kernels.GAIN] / sums[kernels.TIME] if sums[kernels.TIME] > 0.0 else 1.0
         noise = 2.0 * p["white"] * sums[kernels.STRETCHES] + p["walk"] * sums[kernels.TIME]
         variance += gain * float(noise) / float(p["K"]) ** 2
-    slope *= [si_factor(c.name) for c in calibration.coefficients]
-    variance += float(slope @ calibration.covariance @ slope) + given**2
+    variance += float(slope @ calibration.covariance @ slope)
     return variance + float(total[kernels.DOUBT] + total[kernels.HIDDEN] ** 2 + total[kernels.DEAD] ** 2)
 
 
@@ -198,30 +221,25 @@ def phases(calibration: Calibration) -> dict[str | None, Coefficient]:
     }
 
 
-def _used_coefficients(
-    calibration: Calibration, segment: str | None, phase: Phase | None
-) -> tuple[Coefficient, ...]:
+def _used_coefficients(calibration: Calibration, segment: str | None) -> tuple[Coefficient, ...]:
     shared = tuple(c for c in calibration.coefficients if c.name != "phi")
-    if any(c.run is not None for c in shared):
-        names = ", ".join(sorted({c.name for c in shared if c.run is not None}))
+    differ = sorted({c.name for c in shared if c.run is not None})
+    if differ:
         raise CalibrationError(
-            f"{names} differs between the runs of this joint calibration",
+            f"{', '.join(differ)} differs between the runs of this joint calibration",
             remedy=f"take it as one run sees it: --as-run {calibration.runs[0].name} (in Python Calibration.for_run)",
         )
     by_segment = phases(calibration)
+    for name in (None, segment):
+        if name in by_segment:
+            return (*shared, by_segment[name])
     if not by_segment:
-        if any(c.name == "tan_beta" for c in shared) and phase is None:
+        if any(c.name == "tan_beta" for c in shared):
             raise CalibrationError(
                 "the calibration has tan_beta but no phi",
                 remedy="calibrate again, or identify the phase at power-up (--identify-phase)",
             )
         return shared
-    if phase is not None:
-        return (*shared, Coefficient("phi", phase.value, phase.std, "rad"))
-    if None in by_segment:
-        return (*shared, by_segment[None])
-    if segment in by_segment:
-        return (*shared, by_segment[segment])
     have = ", ".join(str(c.owner) for c in list(by_segment.values())[:8])
     wanted = "this record" if segment is None else f"segment '{segment}'"
     raise CalibrationError(
@@ -234,36 +252,16 @@ def _used_coefficients(
 def _code(name: str) -> int:
     wave = harmonic(name)
     if wave:
-        return at.HARMONIC + 2 * wave[1] + (0 if wave[0] == "s" else 1)
-    special = {"scale_factor": at.SCALE_FACTOR, "tan_beta": at.TAN_BETA, "phi": at.PHI}
-    return special[name] if name in special else at.TERMS.index(name)
+        return at.HARMONIC + 2 * wave[1] + (wave[0] == "c")
+    return (*at.TERMS, "scale_factor", "tan_beta", "phi").index(name)
 
 
-def _covariance_factor(
-    calibration: Calibration, used: tuple[Coefficient, ...], phase: Phase | None, output_scale: float
-) -> tuple[NDArray[np.int64], Array, tuple[int, ...]]:
-    """Codes of the uncertain coefficients in falling order, a triangular factor of their covariance in SI, and their places."""
-    index = {c.key: i for i, c in enumerate(calibration.coefficients)}
-    count = len(used)
-    matrix = np.zeros((count, count))
-    inside = [i for i, c in enumerate(used) if phase is None or c.name != "phi"]
-    rows = [index[used[i].key] for i in inside]
-    matrix[np.ix_(inside, inside)] = calibration.covariance[np.ix_(rows, rows)]
-    for i, coefficient in enumerate(used):
-        if i not in inside:
-            matrix[i, i] = coefficient.std**2
-    units = np.array([si_factor(c.name) * (output_scale if c.name == "scale_factor" else 1.0) for c in used])
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    spread = scale > 0.0
-    size = scale[spread]
-    values, vectors = np.linalg.eigh(matrix[np.ix_(spread, spread)] / np.outer(size, size))
-    keep = values > 1e-12
-    root = (vectors[:, keep] * np.sqrt(values[keep])) * (size * units[spread])[:, None]
-    codes = np.array([_code(c.name) for c, some in zip(used, spread, strict=True) if some], dtype=np.int64)
-    places = [index[c.key] if i in inside else -1 for i, c in enumerate(used) if spread[i]]
-    order = np.argsort(-codes)
-    factor = np.ascontiguousarray(np.linalg.qr(root[order].T, mode="r"))
-    return codes[order], factor, tuple(places[i] for i in order)
+def _triangle(covariance: Array) -> Array:
+    """A triangular factor R of a covariance R'R that may have directions without variance."""
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(np.linalg.qr(root.T, mode="r")) * size
 
 
 def check_method(method: str | None, calibration: Calibration) -> str:
@@ -292,10 +290,138 @@ _FLAGS = {
     "fault": (at.FAULT, "the instruments of the set contradict each other"),
     "vibration": (
         at.VIBRATION,
-        "vibration near the Nyquist frequency: an interval hides part of it; above 7 times it u_ax contains too little",
+        "vibration near the Nyquist frequency; above 7 times it u_ax contains too little",
     ),
 }
 FLAGS = {name: bit for name, (bit, _) in _FLAGS.items()}
 """Bit of each flag."""
 MEANING = {name: words for name, (_, words) in _FLAGS.items()}
 """Meaning of each flag."""
+
+
+_LEAST_TURN = 2.0 * math.pi
+"""Least turn of the output [rad] before a phase is given (own choice, like the next two)."""
+_SERVO_ROUNDS = 4
+"""Iterations for the servo's stiffness. Each reduces the error of the phase by the ratio of stiffness to coupling, 1e-2 at most."""
+_USELESS = 0.5
+"""Largest standard uncertainty [rad] of a phase that is given."""
+
+
+class PhaseFinder:
+    """Find the phase online, chunk by chunk, while the instrument is at rest.
+
+    The fit to the output angle has a constant rate, which takes up ``a_x``, bias and base rotation, and the two
+    columns of the coupling, linear in ``cos(phi)`` and ``sin(phi)``. Increments are whitened with the noise levels of
+    the calibration, so that the uncertainty is valid (docs/theory/compensation). The effect of the servo is known except
+    for the phase: its damping is added to the columns of the coupling; its stiffness turns at twice the angle and is subtracted.
+
+    Parameters
+    ----------
+    calibration:
+        Provides the coupling ``K tan_beta``, first harmonics, servo terms and noise levels.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        calibration.require_gimbal("the phase at power-up")
+        p = self._instrument = make_model(with_phase(calibration, Phase(0.0))).instrument[0]
+        if p["tan_beta"] == 0.0 and p["offset_y"] == 0.0 and p["offset_z"] == 0.0:
+            raise CalibrationError(
+                "the calibration has no cross-coupling: there is no phase to find",
+                remedy="leave --identify-phase out",
+            )
+        self._white, self._walk = max(float(p["white"]), 1e-24), float(p["walk"])
+        self._normal = np.zeros((6, 6))
+        self._whitener, self._variance = np.zeros(6), 0.0
+        self._last: tuple[float, float, float, float] | None = None
+        self._turned = 0.0
+
+    def push(self, t: ArrayLike, output: ArrayLike, a_Y: ArrayLike, a_Z: ArrayLike) -> Phase | None:
+        """Add samples: time [s], output angle psi [rad], transverse force [m/s^2], each (n,).
+
+        Returns
+        -------
+        phase:
+            The phase from all samples so far; None before one full revolution.
+        """
+        columns = [np.atleast_1d(np.asarray(c, dtype=float)) for c in (t, output, a_Y, a_Z)]
+        if self._last is not None:
+            columns = [np.concatenate(([before], c)) for before, c in zip(self._last, columns, strict=True)]
+        time, psi, y, z = columns
+        self._last = (float(time[-1]), float(psi[-1]), float(y[-1]), float(z[-1]))
+        if time.size > 1:
+            self._add(time, psi, y, z)
+        return self.phase()
+
+    def _add(self, t: Array, psi: Array, y: Array, z: Array) -> None:
+        h, turn = np.diff(t), np.diff(psi)
+        self._turned += float(np.abs(turn).sum())
+        p, K = self._instrument, float(self._instrument["K"])
+        coupling = K * p["tan_beta"]
+        straight, spent = np.zeros(h.size), float(h.sum())
+        v = float(turn.sum()) / (K * spent) if spent > 0.0 else 0.0
+        damping, stiffness = K * p["servo_damping"] * v * v, K * p["servo"] * v
+        rows, bows = np.empty((6, h.size)), np.zeros((2, h.size))
+        rows[0], rows[5] = h, turn
+        across = coupling * y + p["offset_y"] - damping * z, coupling * z + p["offset_z"] + damping * y
+        coupling_columns(psi, *across, bows, h, straight, 1.0, rows[1:3])
+        twice = stiffness * (y * y - z * z), stiffness * 2.0 * y * z
+        coupling_columns(psi, *twice, bows, h, straight, 2.0, rows[3:5])
+        carry, scale, white = np.empty(h.size), np.empty(h.size), np.empty_like(rows)
+        self._variance = innovation_weights(h, self._white, self._walk, self._variance, carry, scale)
+        whiten(rows, carry, scale, self._whitener, white)
+        self._normal += white @ white.T
+
+    def phase(self) -> Phase | None:
+        """The phase from all samples so far; None before one full revolution."""
+        if self._turned < _LEAST_TURN:
+            return None
+        # The rate column is h itself; the coupling columns contain the factor K tan_beta a_t, so p and q are cos and sin.
+        matrix = self._normal[:3, :3]
+        size = np.sqrt(np.diag(matrix))
+        if not size.min() > 0.0:
+            return None
+        covariance = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
+        p, q = 1.0, 0.0
+        for _ in range(_SERVO_ROUNDS):  # cos and sin of twice the phase times what turns twice as fast
+            twice = 2.0 * math.atan2(q, p)
+            right = self._normal[:3] @ np.array([0, 0, 0, math.sin(twice), -math.cos(twice), 1.0])
+            _, p, q = covariance @ right
+        slope = np.array([0.0, -q, p]) / math.hypot(p, q)
+        return Phase(math.atan2(q, p), float(np.sqrt(slope @ covariance @ slope)))
+
+
+def identify_phase(record: Run, calibration: Calibration, duration: float) -> Phase:
+    """Phase of a record from its first ``duration`` seconds, or until a new stretch begins. The instrument must be at rest.
+
+    Raises
+    ------
+    CalibrationError
+        If the output does not complete one turn in that time, or the coupling is too weak to determine the phase.
+    """
+    later = record.t > record.t[0] + duration
+    some = slice(0, int(np.argmax(later)) + 1 if later.any() else record.size)
+    t, output, begins = record.t[some], record.output[some], record.begins[some]
+    y, z = record.f[some, 1], record.f[some, 2]
+    rows = t <= t[0] + duration
+    starts = np.flatnonzero(begins[1:]) + 1
+    if starts.size:
+        rows[starts[0] :] = False
+    psi = integrated_rate(t, output, begins) if record.kind == "rate" else output
+    finder = PhaseFinder(calibration)
+    if not (y[rows].any() or z[rows].any()):
+        raise CalibrationError(
+            f"{record.source}: no transverse specific force in the first {duration:g} s",
+            remedy="rest in a position with a_Y or a_Z; without them the coupling is zero",
+        )
+    phase = finder.push(t[rows], psi[rows], y[rows], z[rows])
+    if phase is None:
+        raise CalibrationError(
+            f"{record.source}: the output does not turn once in the first {duration:g} s",
+            remedy="take a longer time at rest",
+        )
+    if not phase.std < _USELESS:
+        raise CalibrationError(
+            f"{record.source}: the phase is known to {phase.std:.2g} rad only after {duration:g} s",
+            remedy="take a longer time at rest, or an attitude with more transverse specific force",
+        )
+    return phase

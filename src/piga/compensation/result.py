@@ -20,16 +20,13 @@ from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.run import Run
 from piga.results import Array, Plotted, Reported, Result
-from piga.tables import Column, Tabular, number_column
+from piga.tables import Column, Tabular, arrow_table
 from piga.units import G0, MICRO_G
 from piga.upper import doors
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-
-_WRITTEN_UNITS = {"t": "s", "residual": "m/s^2", "flags": "1"}
-"""Unit of each column that is neither a force nor an increment."""
 
 _FORMATS = {".parquet": "parquet", ".pq": "parquet", ".csv": "csv"}
 """Kind of file by suffix."""
@@ -41,16 +38,8 @@ Inputs = Sequence[tuple[str, str]]
 """Input files of a result: name, and SHA-256 of what was read."""
 
 
-def inputs_listed(inputs: Inputs) -> list[dict[str, str]]:
-    """Inputs for JSON."""
+def _listed(inputs: Inputs) -> list[dict[str, str]]:
     return [{"file": name, "sha256": digest} for name, digest in inputs]
-
-
-def _unit_of_column(name: str) -> str:
-    """Unit of a column: forces in m/s^2, increments (``dv...``) in m/s."""
-    if name in _WRITTEN_UNITS:
-        return _WRITTEN_UNITS[name]
-    return "m/s" if name.startswith("dv") else "m/s^2"
 
 
 def format_of(path: Path) -> str:
@@ -64,52 +53,38 @@ def format_of(path: Path) -> str:
     return file_format
 
 
-def schema_of(
-    columns: Mapping[str, NDArray], empty_cells: bool = False, notes: tuple[str, ...] = (), inputs: Inputs = ()
+def rows_table(
+    columns: Mapping[str, Column], notes: tuple[str, ...] = (), inputs: Inputs = (), *, text: bool = False
 ) -> Any:
-    """Arrow schema: types, a unit per column, the meaning of the flag bits, notes and inputs.
+    """Columns of compensated rows as an Arrow table: a unit per column, the meaning of the flag bits, notes and inputs.
 
-    ``empty_cells``: True if cells may be empty.
+    ``text``: for CSV, where headings have the units, and a missing value is an empty cell.
     """
-    import pyarrow as pa
-
-    fields = [
-        pa.field(
-            name, pa.int32() if name == "flags" else pa.float64(), empty_cells, {"unit": _unit_of_column(name)}
-        )
-        for name in columns
-    ]
-    metadata = {
-        "piga.flags": json.dumps(FLAGS),
-        "piga.flag_meanings": json.dumps(MEANING),
-        "piga.units": json.dumps({name: _unit_of_column(name) for name in columns}),
-    }
+    metadata = {"piga.flags": json.dumps(FLAGS), "piga.flag_meanings": json.dumps(MEANING)}
+    metadata["piga.units"] = json.dumps({name: column.unit for name, column in columns.items()})
     metadata |= {"piga.notes": json.dumps(notes)} if notes else {}
-    metadata |= {"piga.inputs": json.dumps(inputs_listed(inputs))} if inputs else {}
-    return pa.schema(fields, metadata=metadata)
+    metadata |= {"piga.inputs": json.dumps(_listed(inputs))} if inputs else {}
+    if text:
+        lacks = any(NO_REFERENCE in note for note in notes)
+        columns = {
+            name
+            if name == "flags"
+            else f"{name}{' (reference not included)' * (lacks and name.startswith('u_'))} "
+            f"[{column.unit}]": column
+            for name, column in columns.items()
+        }
+    return arrow_table(columns, metadata, empty_cells=text)
 
 
-def _heading(name: str, notes: tuple[str, ...]) -> str:
-    """Name of a CSV column: ``name [unit]``; that of an uncertainty without the reference's says so."""
-    if name == "flags":
-        return name
-    lacks = name.startswith("u_") and any(NO_REFERENCE in note for note in notes)
-    return f"{name}{' (reference not included)' if lacks else ''} [{_unit_of_column(name)}]"
+def _opened(path: Path, text: bool, schema: Any) -> Any:
+    """A writer of tables with this schema."""
+    from pyarrow import csv, parquet
 
-
-def _opened(
-    path: Path, text: bool, columns: Mapping[str, NDArray], notes: tuple[str, ...], inputs: Inputs
-) -> Any:
-    """A writer of tables with these columns, and its schema."""
-    from pyarrow import csv, parquet, schema
-
-    made = schema_of(columns, text, notes, inputs)
-    if not text:
-        options = {"use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
-        return parquet.ParquetWriter(str(path), made, compression="none", **options), made
-    made = schema([entry.with_name(_heading(entry.name, notes)) for entry in made])
-    quoting = csv.WriteOptions(quoting_style="none", quoting_header="none")
-    return csv.CSVWriter(str(path), made, write_options=quoting), made
+    if text:
+        quoting = csv.WriteOptions(quoting_style="none", quoting_header="none")
+        return csv.CSVWriter(str(path), schema, write_options=quoting)
+    options = {"use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
+    return parquet.ParquetWriter(str(path), schema, compression="none", **options)
 
 
 def write_rows(
@@ -127,10 +102,8 @@ def write_rows(
 
     Parameters
     ----------
-    result, path:
-        The rows, and the file.
-    kind:
-        ``"parquet"`` or ``"csv"``; None: by the suffix of ``path``.
+    result, path, kind:
+        The rows, and the file: ``"parquet"`` or ``"csv"``; None: by its suffix.
     period:
         Interval to which the rows are resampled [s]; None: as recorded.
     inputs:
@@ -138,8 +111,6 @@ def write_rows(
     progress:
         Called as ``progress(done, total, what)`` with the rows done; it returns False to stop (:mod:`piga.progress`).
     """
-    import pyarrow as pa
-
     text = (kind or format_of(path)) == "csv"
     resampler = None if period is None else Resampler(period)
     writer: Any = None
@@ -147,14 +118,13 @@ def write_rows(
     try:
         for start in range(0, max(result.size, 1), GROUP_ROWS):
             part = result.rows(slice(start, min(start + GROUP_ROWS, result.size)))
-            columns = part.columns() if resampler is None else resampler.push_rows(part)
-            if writer is None:
-                writer, schema = _opened(path, text, columns, result.notes, inputs)
-            arrays = [number_column(column, empty_cells=text) for column in columns.values()]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-            rows += columns["t"].size
+            columns = with_units(part.columns() if resampler is None else resampler.push_rows(part))
+            table = rows_table(columns, result.notes, inputs, text=text)
+            writer = writer or _opened(path, text, table.schema)
+            writer.write_table(table)
+            rows += table.num_rows
             for name, bit in FLAGS.items():
-                flagged[name] += int(np.count_nonzero(columns["flags"] & bit))
+                flagged[name] += int(np.count_nonzero(columns["flags"].values & bit))
             report(progress, start + part.size, result.size, "writing")
     except BaseException:
         with suppress(Exception):  # the error that ended the writing is the one to report
@@ -163,6 +133,15 @@ def write_rows(
         raise
     writer.close()
     return rows, {name: count for name, count in flagged.items() if count}
+
+
+def with_units(columns: Mapping[str, NDArray]) -> dict[str, Column]:
+    """Columns of compensated rows with their units: forces in m/s^2, increments (``dv...``) in m/s."""
+    units = {"t": "s", "flags": "1"}
+    return {
+        name: Column(values, units.get(name, "m/s" if name.startswith("dv") else "m/s^2"))
+        for name, values in columns.items()
+    }
 
 
 class _Rows(Result, Plotted, Tabular):
@@ -193,7 +172,7 @@ class _Rows(Result, Plotted, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
-        return {name: Column(values, _unit_of_column(name)) for name, values in self.columns().items()}
+        return with_units(self.columns())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -374,9 +353,8 @@ class Resampler:
     """Resample velocity increments to the times ``start + k period``, chunk by chunk.
 
     The running velocity is the sum of the increments. It is linear within each interval, because only the mean force
-    is known there. A new increment is the running velocity at the new time less the sum of the increments already
-    given out. Rounding errors therefore do not accumulate, and no velocity is lost. The result does not depend on
-    the chunks, to the bit.
+    is known there. A new increment is its change; what lies behind the last new time goes on to the next one. So no velocity
+    is lost.
 
     Parameters
     ----------
@@ -387,11 +365,8 @@ class Resampler:
     def __init__(self, period: float) -> None:
         if not (period > 0.0 and math.isfinite(period)):
             raise ArgumentError(f"period: {period!r} s is not positive", remedy="e.g. 0.01")
-        self._period = period
-        self._rows, self._flags = 0, 0
-        self._time: Array = np.zeros(0)
-        self._velocity = self._given = np.zeros((0, 1))
-        self._start = 0.0
+        self._period, self._start, self._count = period, math.nan, 0
+        self._left: list[NDArray] = []
 
     def push_rows(self, part: Compensated | CompensatedSet) -> dict[str, NDArray]:
         """Columns of the next compensated rows at the new rate.
@@ -405,39 +380,39 @@ class Resampler:
         ArgumentError
             If the times do not increase.
         """
-        t, added, marks = part.t, part.dv.reshape(part.size, -1), part.flags
-        late = np.flatnonzero(np.diff(t, prepend=self._time if self._time.size else -np.inf) <= 0.0)
+        if part.size == 0:
+            return _columns_of(part.t, part.dv, part.dv, part.flags)
+        rows: list[NDArray] = [part.t, part.dv.reshape(part.size, -1), part.flags]
+        before = len(self._left[0]) if self._left else 0
+        if before:
+            rows = [np.concatenate(both) for both in zip(self._left, rows, strict=True)]
+        t, dv, flags = rows
+        late = np.flatnonzero(np.diff(t) <= 0.0) + 1 - before
         if late.size:
             raise ArgumentError(
-                f"t[{late[0]}]: {t[late[0]]:.9g} s is not after the time before",
+                f"t[{late[0]}]: {part.t[late[0]]:.9g} s is not after the time before",
                 remedy="resample the parts between jumps of the clock separately",
             )
-        if self._time.size == 0 and t.size:
-            self._time, self._start = t[:1], float(t[0])
-            self._velocity, self._given = added[:1], np.zeros((1, added.shape[1]))
-            t, added, marks = t[1:], added[1:], marks[1:]
-        clock = np.append(self._time, t)
-        velocity = np.cumsum(np.vstack((self._velocity.reshape(-1, added.shape[1]), added)), axis=0)
+        if self._count == 0:
+            self._start = float(t[0])
         limits = t * (1.0 + 1e-15)
-        ahead = math.ceil((clock[-1] - self._start) / self._period) + 1 if clock.size else 0
-        times = self._start + np.arange(self._rows + 1.0, ahead + 1.0) * self._period
-        times = times[times <= limits[-1]] if t.size else times[:0]
-        reached = np.column_stack([np.interp(times, clock, one) for one in velocity.T])
-        dv = np.diff(np.vstack((self._given, reached)), axis=0) if times.size else reached
+        ahead = math.ceil((t[-1] - self._start) / self._period) + 1
+        times = self._start + np.arange(self._count + 1.0, ahead + 1.0) * self._period
+        times = times[times <= limits[-1]]
+        velocity = np.cumsum(dv, axis=0)
+        reached = np.column_stack([np.interp(times, t, one) for one in velocity.T])
         last = np.searchsorted(limits, times)  # the interval in which each new time lies
-        first = np.append(
-            0, last + (times >= t[last])
-        )  # of those that overlap each new row, and the unfinished one
-        edges = np.column_stack((first, np.append(last, t.size - 1) + 1)).ravel()
-        seen = np.bitwise_or.reduceat(np.append(marks, (0, 0)), edges)[::2]
-        seen = np.where(first < edges[1::2], seen, 0)
-        seen[0] |= self._flags
-        self._rows, self._time, self._velocity = self._rows + times.size, clock[-1:], velocity[-1:]
-        self._given, self._flags = (reached[-1:] if times.size else self._given), int(seen[-1])
-        flags, dv = seen[:-1].astype(np.int32), dv.reshape(times.size, *part.dv.shape[1:])
-        none = (flags & FLAGS["no_increment"]) != 0
-        mean = np.where(none if dv.ndim == 1 else none[:, None], np.nan, dv / self._period)
-        return _columns_of(times, mean, dv, flags)
+        first = np.append(1, last + (times >= t[last]))  # of those that overlap each new row, and of the rest
+        edges = np.column_stack((first[:-1], last + 1)).ravel()
+        seen = np.bitwise_or.reduceat(np.append(flags, 0), edges)[::2]
+        kept = first[-1] - 1
+        rest = dv[kept:].copy()
+        rest[0] = velocity[kept] - (reached[-1] if times.size else 0.0)
+        self._left, self._count = [t[kept:], rest, flags[kept:]], self._count + times.size
+        new = np.diff(reached, axis=0, prepend=np.zeros((1, dv.shape[1])))
+        none = (seen & FLAGS["no_increment"]) != 0
+        mean, shape = np.where(none[:, None], np.nan, new / self._period), (times.size, *part.dv.shape[1:])
+        return _columns_of(times, mean.reshape(shape), new.reshape(shape), seen.astype(np.int32))
 
 
 def summary_of(
@@ -459,5 +434,5 @@ def summary_of(
         "flags": written[1],
         "repairs": repairs,
         "notes": result.notes,
-        "inputs": inputs_listed(inputs),
+        "inputs": _listed(inputs),
     }

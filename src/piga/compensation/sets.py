@@ -20,7 +20,7 @@ from piga._kernels.compensation.set import SetRows, SetState, empty_state
 from piga._kernels.compensation.set import compensate_set as set_kernel
 from piga._kernels.compensation.terms import SUMS
 from piga.compensation.compensator import check_finite, check_phase_kept, check_serial, find_begins
-from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance
+from piga.compensation.model import Limits, Phase, age_flag, make_model, velocity_variance, with_phase
 from piga.compensation.result import CompensatedSet, notes_on, notes_on_samples
 from piga.errors import ArgumentError, DataError, RunFileError
 from piga.progress import Progress, report
@@ -134,19 +134,15 @@ class SetCompensator:
         self._axes = np.array([rotation(item.axes, i) for i, item in enumerate(instruments)])
         _check_spread(self._axes)
         self._sampled, self._uncertainty, self._details = sampled, uncertainty, details
+        self._calibrations = [with_phase(item.calibration, item.phase) for item in instruments]
+        typical = math.nan if step is None else step
         self._models = [
-            make_model(
-                item.calibration,
-                segment=item.segment,
-                phase=item.phase,
-                limits=limits,
-                typical=math.nan if step is None else step,
-            )
-            for item in instruments
+            make_model(calibration, segment=item.segment, limits=limits, typical=typical)
+            for calibration, item in zip(self._calibrations, instruments, strict=True)
         ]
         self._scale = np.array([[model.scale] for model in self._models])
         self._flag = reduce(or_, (age_flag(item.calibration, max_age_days) for item in instruments), 0)
-        self._count, self._calibrations = len(instruments), [item.calibration for item in instruments]
+        self._count = len(instruments)
         self.notes = notes_on(*self._calibrations)
         self._instruments = at.records(self._count, at.INSTRUMENT)
         for i, model in enumerate(self._models):
@@ -194,6 +190,7 @@ class SetCompensator:
         temperature: ArrayLike | None = None,
         begins: NDArray[np.bool_] | None = None,
         into: CompensatedSet | None = None,
+        vibration: ArrayLike | None = None,
     ) -> CompensatedSet:
         """Compensate the next samples; N instruments, n samples.
 
@@ -206,49 +203,48 @@ class SetCompensator:
             and its output.
         base_rate:
             Inertial rate of every instrument in its own axes [rad/s], (N, n, 3).
-        temperature:
-            [K], (N, n).
+        temperature, vibration:
+            [K], and [m/s^2] (rms), (N, n).
         begins:
             True where a stretch begins; None: where time goes back or leaves a gap, as for one instrument.
         into:
-            Rows that exist, to write the result to (:meth:`empty_rows`).
+            Rows that exist, to write the result to.
         """
         time = np.atleast_1d(np.asarray(t, dtype=float))
         n, count = time.size, self._count
-        psi = self._scale * _shaped("output", output, (count, n))
         if self._sampled != (rate is not None):
             raise ArgumentError(
                 "rate: needed for a set that is sampled, and not allowed for a set of angles",
                 remedy="give rate, and create the set with sampled=True",
             )
-        rates = np.zeros((count, 0)) if rate is None else self._scale * _shaped("rate", rate, (count, n))
-        omega = np.zeros((count, 0, 3)) if base_rate is None else _shaped("base_rate", base_rate, (count, n, 3))
-        warm = np.zeros((count, 0)) if temperature is None else _shaped("temperature", temperature, (count, n))
-        if any("vibration" in model.needs for model in self._models):
-            raise ArgumentError(
-                "a calibration has the term k2v, and a set has no column of the vibration",
-                remedy="calibrate without k2v, or compensate each instrument by itself",
-            )
-        if temperature is None and any("temperature" in model.needs for model in self._models):
-            raise ArgumentError(
-                "temperature: missing, and a calibration has temperature terms",
-                remedy="give the temperature [K] of each instrument, shape (N, n)",
-            )
+        given = {"output": output, "rate": rate, "base_rate": base_rate, "temperature": temperature}
+        columns: dict[str, Array] = {}
+        for name, values in (given | {"vibration": vibration}).items():
+            row = (3,) if name == "base_rate" else ()
+            if values is not None:
+                columns[name] = _shaped(name, values, (count, n, *row))
+        for model in self._models:
+            model.check_logged(columns)
+        for name in ("output", "rate")[: 1 + self._sampled]:
+            columns[name] = self._scale * columns[name]
         marks = (
             find_begins(self._state.past[:1], time) if begins is None else np.asarray(begins, dtype=np.bool_)
         )
         result = self.empty_rows(time) if into is None else into
         before, sums = SetState(*(array.copy() for array in self._state)), self._sums.copy()
-        unknown = np.zeros((count, 0))
+        none, still = np.zeros((count, 0)), np.zeros((count, 0, 3))
         set_kernel(
-            Samples(time, psi, rates, unknown, unknown, marks, omega, warm, unknown),
+            Samples(
+                time, columns["output"], columns.get("rate", none), none, none, marks, columns.get("base_rate", still),
+                columns.get("temperature", none), columns.get("vibration", none),
+            ),
             self._instruments, self._flag, self._threshold, self._state,
             SetRows(result.f, result.dv, result.u_f, result.residual, result.flags, result.misfit, result.each, sums),
         )  # fmt: skip
-        last = psi[:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
+        last = columns["output"][:, -1:].sum() + (result.f if self._sampled else result.dv).sum()
         if not math.isfinite(last):
             self._state = before
-            check_finite({"output": psi, "rate": rates, "base_rate": omega, "temperature": warm})
+            check_finite(columns)
         self._sums = sums
         return result
 
@@ -300,7 +296,7 @@ def compensate_set(
         )
     for record, item in zip(records, instruments, strict=True):
         check_serial(record, item.calibration, force)
-        check_phase_kept(record, item.calibration, item.phase, alone=False)
+        check_phase_kept(record, item.calibration, alone=False)
     first, rates = records[0], records[0].kind == "rate"
     stream = SetCompensator(
         [replace(item, segment=item.segment or r.labels[0]) for r, item in zip(records, instruments, strict=True)],
@@ -315,9 +311,10 @@ def compensate_set(
     if any(record.base_rate is not None for record in records):
         still = np.broadcast_to(0.0, (first.size, 3))
         columns["base_rate"] = [still if record.base_rate is None else record.base_rate for record in records]
-    warm = [record.temperature for record in records if record.temperature is not None]
-    if len(warm) == len(records):
-        columns["temperature"] = warm
+    for name in ("temperature", "vibration"):
+        logged = [column for record in records if (column := getattr(record, name)) is not None]
+        if len(logged) == len(records):
+            columns[name] = logged
     whole = stream.empty_rows(first.t)
     report(progress, 0, first.size, "compensating")
     step = max(READINGS // len(records), 1)

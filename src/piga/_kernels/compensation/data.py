@@ -75,8 +75,7 @@ class Instrument(Protocol):
     cosines: Array
     uncertain: float  # number of uncertain coefficients
     codes: NDArray[np.int64]
-    rank: float  # rows of the factor
-    factor: Array  # (rank, uncertain)
+    factor: Array  # (uncertain, uncertain)
 
 
 class Past(Protocol):

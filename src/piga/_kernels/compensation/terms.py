@@ -153,7 +153,7 @@ def uncertainty(p: Instrument, x: Row, derivative: float, dead: float) -> float:
     """
     _fill_regressors(p, x)
     variance, count, factor, work = x.hidden * x.hidden, int(p.uncertain), p.factor, x.work
-    for i in range(int(p.rank)):
+    for i in range(count):
         part = 0.0
         for k in range(i, count):
             part += factor[i, k] * work[k]
