@@ -29,22 +29,7 @@ def goes_up(steps) -> bool:
     return done == sorted(done) and len({step[1] for step in steps}) == 1 and done[-1] == steps[-1][1]
 
 
-def test_simulation_platform_plan_and_reproduction_say_their_steps(tmp_path):
-    from piga.earth import Site
-    from piga.instrument import Electronics
-    from piga.stand import DividingHead, Specimen
-    from piga.studies import reproduce
-
-    head = DividingHead(Site(0.7), positions=(0.1, 0.9), dwell=5.0)
-    specimen = Specimen(piga.Instrument(scale_factor=SCALE, beta="500 arcsec"))
-    test, steps = heard(
-        lambda progress: piga.simulate_test(head, specimen, Electronics(sample_rate=5.0), progress=progress)
-    )
-    assert len(steps) == 3
-    assert test == piga.simulate_test(head, specimen, Electronics(sample_rate=5.0))
-    result, steps = heard(lambda progress: reproduce("mounting", progress=progress))
-    assert result.cases
-    assert [step[2] for step in steps] == ["mounting", "done"]
+def test_a_plan_and_a_platform_stop_when_told():
     plan = piga.read_plan(EXAMPLES / "plan-dividing-head.toml")
     with pytest.raises(piga.CancelledError, match="listing positions"):
         piga.plan_test(plan, progress=lambda *_: False)

@@ -254,15 +254,6 @@ def test_samples_that_begin_a_stretch_are_checked_too(kind: str, bad: float) -> 
 # --- the command
 
 
-def test_resume_is_answered_by_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = (write(tmp_path, rows=50), "--calibration", tmp_path / "run.json", "--out", tmp_path / "o.parquet")
-    code, _, text = command(monkeypatch, capsys, *words, "--resume")
-    assert code == 2
-    assert "run the same command again without it" in text
-
-
 def test_words_of_the_command_that_do_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

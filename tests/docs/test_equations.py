@@ -7,7 +7,6 @@ of its equation.
 from __future__ import annotations
 
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -87,25 +86,6 @@ def test_calibration_added_variable() -> None:
     candidates = missing_terms.tested(np.array(pieces), range(3), [3], ("k2",), 60, 1.0)
     assert (rest @ e) ** 2 / (rest @ rest) / (e @ e) == pytest.approx(candidates.fall, abs=1e-12)
     assert (rest @ e) / (rest @ rest) == pytest.approx(candidates.size[0], abs=1e-12)
-
-
-def test_calibration_leverage() -> None:
-    """A direct instrument in six positions: from its samples, and from its calibration."""
-    random, segment = np.random.default_rng(13), np.repeat(np.arange(6), 40)
-    x = np.array([1.0, 0.6, 0.1, -0.3, -0.8, -1.0])[segment]
-    run = piga.Run.from_arrays(
-        0.1 * np.arange(240) + 5.0 * segment, 0.6 * (x + 2e-3) + 1e-5 * random.standard_normal(240), np.outer(x, [1.0, 0.0, 0.0]),
-        scale_factor="0.6 mA/g", kind="rate", unit="mA", segment=segment, units={"f": "g"},
-    )  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        table = piga.calibrate(run, ["scale_factor", "k0"]).diagnostics.leverage.values()
-    rows = np.column_stack([x, np.ones(240)])
-    information = [rows[segment == s].T @ rows[segment == s] for s in range(6)]
-    inverse = np.linalg.inv(sum(information))
-    assert [np.trace(A @ inverse) for A in information] == pytest.approx([r.leverage for r in table], abs=1e-9)
-    left = np.array([np.linalg.inv(sum(information) - A)[0, 0] for A in information])
-    assert 1.0 - inverse[0, 0] / left == pytest.approx([r.share["scale_factor"] for r in table], abs=1e-9)
 
 
 def test_calibration_scatter() -> None:
