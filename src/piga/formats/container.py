@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime, time, timedelta
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,11 +85,18 @@ def _library(path: Path, name: str, remedy: str) -> Iterator[None]:
         raise refusal(path, f"not a readable {name} file ({first_line(error)})", remedy) from None
 
 
+class _Source(NamedTuple):
+    """A vector or matrix of a container: the function that reads it, its shape, and its unit."""
+
+    read: Callable[[], NDArray]
+    shape: tuple[int, ...]
+    unit: str = ""
+
+
 class Container(TableStream):
     """The named columns of a file that is read whole.
 
-    A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`read` opens the file and gives the columns to
-    :meth:`take`.
+    A format has a ``name`` and a ``remedy`` for a damaged file. Its :meth:`sources` opens the file.
     """
 
     name = remedy = ""
@@ -96,43 +104,48 @@ class Container(TableStream):
     def __init__(self, path: Path, numeric: Iterable[str], label: str | None = None) -> None:
         RecordStream.__init__(self, path, numeric, label)
         open_regular(path, "the file; [data] file is relative to the run file").close()
-        with _library(path, self.name, self.remedy):
-            self.read()
+        with _library(path, self.name, self.remedy), ExitStack() as stack:
+            self._sources = self.sources(stack)
+            TableStream.__init__(self, path, arrow_table(self._columns()), numeric, label)
 
-    def read(self) -> None:
-        """Read the file."""
+    def sources(self, stack: ExitStack) -> dict[str, _Source]:
+        """What the file holds, by name. The file stays open as long as ``stack``."""
         raise NotImplementedError
+
+    def matching(self, name: str) -> list[str]:
+        """Names of sources that a name without the column of a matrix means."""
+        return [
+            one
+            for one in dict.fromkeys((name, name.strip("/"), name.replace(".", "/")))
+            if one in self._sources
+        ]
 
     def refusal(self, words: str, remedy: str, *columns: str) -> DataError:
         """The error of the file."""
         return refusal(self.path, words, remedy, *columns)
 
-    def vector(self, name: str, values: NDArray) -> NDArray:
-        """The column ``name`` of an array: the array itself if it is a vector, or one column of a matrix."""
-        plain, column = split_name(name)
-        if values.ndim == 2 and column is not None:
-            if 1 <= column <= values.shape[1]:
-                return values[:, column - 1]
-            words = f"column '{name}': the matrix has {values.shape[1]} columns"
-            raise self.refusal(words, "columns count from 1", name)
-        flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
-        if flat.ndim != 1 or column is not None:
-            words = f"'{name}' has the shape {values.shape}, a column is needed"
-            raise self.refusal(words, f"name a column of a matrix as '{plain}(:,1)'", name)
-        return flat
-
-    def take(self, column: Callable[[str], NDArray], units: Mapping[str, str]) -> None:
-        """Read the columns; ``column`` reads one."""
+    def _columns(self) -> dict[str, Column]:
         columns, first = dict[str, Column](), self.wanted[0]
         for name in self.wanted:
-            values = column(name)
+            plain, number = split_name(name)
+            found = self.matching(plain)
+            if not found:
+                listed = [
+                    part for one, source in self._sources.items() for part in matrix_columns(one, source.shape)
+                ]
+                raise no_column(self.path, plain, listed)
+            if len(found) > 1:
+                remedy = f"name it as one of {', '.join(map(repr, found[:5]))}"
+                raise self.refusal(f"several groups have a channel '{name}'", remedy, name)
+            source = self._sources[found[0]]
+            values = self._vector(name, plain, number, source.read())
             if name not in self.numeric:
                 values = np.array([label_text(value) for value in values.tolist()], object)
             elif values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
                 words = f"column '{name}' holds {values.dtype.name}, not numbers"
                 raise self.refusal(words, REMEDIES[1], name)
             values = values.astype(values.dtype.newbyteorder("="), copy=False)
-            columns[name] = Column(values, units.get(name, ""))
+            columns[name] = Column(values, source.unit if name in self.numeric else "")
             if values.size != columns[first].values.size:
                 words = (
                     f"column '{name}' has {values.size} rows, column '{first}' has {columns[first].values.size}"
@@ -140,7 +153,20 @@ class Container(TableStream):
                 raise self.refusal(words, "export columns that were sampled together", name, first)
         if columns[first].values.size == 0:
             raise self.refusal("no data row", "check that the logger wrote data")
-        TableStream.__init__(self, self.path, arrow_table(columns), self.numeric, self.label)
+        return columns
+
+    def _vector(self, name: str, plain: str, number: int | None, values: NDArray) -> NDArray:
+        """The array itself if it is a vector, or one column of a matrix."""
+        if values.ndim == 2 and number is not None:
+            if 1 <= number <= values.shape[1]:
+                return values[:, number - 1]
+            words = f"column '{name}': the matrix has {values.shape[1]} columns"
+            raise self.refusal(words, "columns count from 1", name)
+        flat = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
+        if flat.ndim != 1 or number is not None:
+            words = f"'{name}' has the shape {values.shape}, a column is needed"
+            raise self.refusal(words, f"name a column of a matrix as '{plain}(:,1)'", name)
+        return flat
 
 
 # -- HDF5 ----------------------------------------------------------------------------------------------
@@ -148,134 +174,61 @@ class Container(TableStream):
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
 """Filters built into the HDF5 library."""
-_MAX_NAMES, _MAX_LEVELS = 200, 8
-"""Most names that are listed, and most groups inside each other of which they are listed."""
-_MAX_CELL = 4096
-"""Most characters of one text cell."""
 _UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescription")
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
 
 def _unit(attributes: Any) -> str:
-    return next((_text(attributes[key]) for key in _UNIT_KEYS if key in attributes), "")
-
-
-def _text(value: object) -> str:
-    if isinstance(value, bytes):
-        return value.decode("utf-8", errors="replace")
-    return value if isinstance(value, str) else ""
-
-
-def _class(item: Any) -> str:
-    return _text(item.attrs.get("MATLAB_class"))
+    given = next((attributes[key] for key in _UNIT_KEYS if key in attributes), "")
+    return given.decode("utf-8", errors="replace") if isinstance(given, bytes) else str(given)
 
 
 class Hdf5(Container):
-    """The named datasets: ``name`` or ``group/name``, ``name(:,2)`` of a matrix, ``name/field`` of a table."""
+    """The named datasets: ``name`` or ``group/name``, ``name(:,2)`` of a matrix, ``name/field`` of a table.
+
+    Only datasets of the file itself are found: links to other places are not followed.
+    """
 
     name, remedy = "HDF5", "was it closed by the logger? copy or export it again"
 
-    def read(self) -> None:
-        """Read the datasets."""
+    def sources(self, stack: ExitStack) -> dict[str, _Source]:
+        """The datasets, and the fields of those that are tables."""
         import h5py
 
-        with h5py.File(self.path, "r", locking=False) as self._source:
-            self.take(self._dataset, {name: _unit(self._find(name)[0].attrs) for name in self.numeric})
+        found: dict[str, _Source] = {}
 
-    def _dataset(self, name: str) -> NDArray:
-        """One column of a dataset: numbers or texts (n,)."""
+        def visit(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+                shape = (item.shape or ())[:: -1 if "MATLAB_class" in item.attrs else 1]
+                for field in item.dtype.names or ("",):
+                    read = partial(self._dataset, item, name, field)
+                    found[f"{name}/{field}" if field else name] = _Source(read, shape, _unit(item.attrs))
+
+        stack.enter_context(h5py.File(self.path, "r", locking=False)).visititems(visit)
+        return found
+
+    def _dataset(self, item: Any, name: str, field: str) -> NDArray:
+        """Numbers or texts of a dataset."""
         import h5py
 
-        item, field = self._find(name)
-        plain, kind, matlab = split_name(name)[0], item.dtype, _class(item)
-        self._check_storage(item, plain)
-        text = h5py.check_string_dtype(kind) is not None
-        check_unpacked(self.path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
-        if text:
-            return self.vector(name, np.asarray(item.asstr(errors="replace")[...], dtype=str))
-        if matlab == "cell" and h5py.check_ref_dtype(kind) is h5py.Reference:
-            cells = enumerate(item[...].T.reshape(-1), 1)
-            return self.vector(name, np.array([self._cell(plain, *cell) for cell in cells], dtype=str))
-        if kind.hasobject:
-            remedy = "store numbers or text in a plain dataset"
-            raise self.refusal(f"'{plain}' holds objects or references", remedy, name)
-        values = np.asarray(item[field] if field else item[...])
-        if matlab:  # stored column by column
-            values = _characters(values) if matlab == "char" else values.T
-        return self.vector(name, values)
-
-    def _cell(self, name: str, number: int, reference: Any) -> str:
-        """A cell of a MATLAB cell array, text or a single number: a reference to an object of the same file."""
-        import h5py
-
-        cell = self._source[reference] if reference else None
-        if not isinstance(cell, h5py.Dataset) or cell.dtype.kind not in "uif" or cell.size > _MAX_CELL:
-            words = f"'{name}', cell {number} holds no text and no number"
-            raise self.refusal(words, "store one label for each sample", name)
-        self._check_storage(cell, name)
-        values = np.asarray(cell[...])
-        if cell.attrs.get("MATLAB_empty") or values.size == 0:
-            return ""
-        if _class(cell) == "char":
-            return "".join(_characters(values))
-        return label_text(values.reshape(-1)[0].item())
-
-    def _find(self, name: str) -> tuple[Any, str | None]:
-        """Find a dataset by name, only through hard links, and the field of a compound dataset."""
-        import h5py
-
-        plain = split_name(name)[0]
-        for path in (plain.strip("/"), plain.replace(".", "/")):
-            item, field = self._source, None
-            for part in path.split("/"):
-                link = item.get(part, getlink=True) if isinstance(item, h5py.Group) else None
-                if link is not None and not isinstance(link, h5py.HardLink):
-                    words = (
-                        f"'{part}' is a link to another place ({type(link).__name__}), which is not followed"
-                    )
-                    raise self.refusal(words, "copy the dataset into the file (h5repack or h5copy)", name)
-                if link is not None:
-                    item = item[part]
-                elif isinstance(item, h5py.Dataset) and field is None:
-                    field = part
-                else:
-                    item = None
-            if isinstance(item, h5py.Dataset) and field in (item.dtype.names or (None,)):
-                return item, field
-        raise no_column(self.path, plain, self._names())
-
-    def _names(self) -> list[str]:
-        """Names of the datasets of the file itself, up to a limit. Links are not followed."""
-        import h5py
-
-        names: list[str] = []
-
-        def visit(name: str, item: Any) -> bool | None:
-            if isinstance(item, h5py.Dataset) and not name.startswith("#") and name.count("/") <= _MAX_LEVELS:
-                shape = item.shape[::-1] if _class(item) else item.shape
-                fields = [f"{name}/{part}" for part in item.dtype.names or ()]
-                names.extend(fields or matrix_columns(name, shape or ()))
-            return len(names) >= _MAX_NAMES or None
-
-        self._source.visititems(visit)
-        return names
-
-    def _check_storage(self, item: Any, name: str) -> None:
+        kind = item.dtype
         if item.is_virtual or item.external:
             remedy = "repack it into one file (h5repack)"
             raise self.refusal(f"the data of '{name}' lie in other files", remedy, name)
         plan = item.id.get_create_plist()
         strange = {plan.get_filter(index)[0] for index in range(plan.get_nfilters())} - set(_PLAIN_FILTERS)
         if strange:
-            plain = ", ".join(_PLAIN_FILTERS.values())
-            words = f"'{name}' is packed with filter {min(strange)}; only {plain} are read"
+            words = f"'{name}' is packed with filter {min(strange)}; only {', '.join(_PLAIN_FILTERS.values())} are read"
             raise self.refusal(words, "repack it: h5repack -f GZIP=4", name)
-
-
-def _characters(values: NDArray) -> NDArray:
-    """Rows of a MATLAB char array as text: UTF-16 units, stored column by column, padded with blanks."""
-    rows = np.atleast_2d(values.T).astype("<u2")
-    return np.array([row.tobytes().decode("utf-16-le", errors="replace").rstrip(" \0") for row in rows])
+        text = h5py.check_string_dtype(kind) is not None
+        check_unpacked(self.path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
+        if text:
+            return np.asarray(item.asstr(errors="replace")[...], dtype=str)
+        if kind.hasobject or item.attrs.get("MATLAB_class") in (b"char", b"cell", "char", "cell"):
+            remedy = "store numbers in a plain dataset"
+            raise self.refusal(f"'{name}' holds objects, references or text of MATLAB v7.3", remedy, name)
+        values = np.asarray(item[field] if field else item[...])
+        return values.T if "MATLAB_class" in item.attrs else values  # stored column by column
 
 
 # -- MATLAB --------------------------------------------------------------------------------------------
@@ -289,103 +242,80 @@ class Mat(Hdf5):
 
     name, remedy = "MATLAB", "save it again with -v7 or -v7.3"
 
-    def read(self) -> None:
-        """Read the variables."""
+    def sources(self, stack: ExitStack) -> dict[str, _Source]:
+        """The wanted variables, or all if one is not there; in place of a struct its fields."""
         with open_regular(self.path) as stream:
             head = stream.read(520)
         if _HDF5_MARK in (head[:8], head[512:520]):
-            super().read()
-            return
-        self._read = self._variables([split_name(name)[0].split(".")[0] for name in self.wanted])
-        self.take(self._variable, {})
-
-    def _variables(self, names: list[str] | None) -> dict[str, Any]:
-        """The named variables (None: all). A variable that is there and not named is None."""
+            return super().sources(stack)
         from scipy.io import loadmat, whosmat
 
         shapes = {name: shape for name, shape, _ in whosmat(self.path)}
-        for name in shapes if names is None else set(names) & set(shapes):
+        names = {split_name(name)[0].split(".")[0] for name in self.wanted}
+        names = names if names <= {*shapes} else {*shapes}
+        for name in names:
             check_unpacked(self.path, 8 * math.prod(shapes[name]))
         variables = loadmat(self.path, variable_names=names, chars_as_strings=True, struct_as_record=True)
-        return {name: variables.get(name) for name in shapes}
-
-    def _variable(self, name: str) -> NDArray:
-        first, *fields = split_name(name)[0].split(".")
-        item = self._read.get(first)
-        for field in fields[:_MAX_STRUCTS]:
-            item = _fields(item).get(field)
-        if not isinstance(item, np.ndarray) or item.dtype.names:
-            everything = self._variables(None).items()
-            raise no_column(self.path, name, [one for part in everything for one in _names_below(*part, 0)])
-        return self.vector(name, item)
+        parts = (part for name in shapes if name in names for part in _below(name, variables.get(name), 0))
+        return {name: _Source(item.view, item.shape) for name, item in parts}
 
 
-def _fields(item: object) -> dict[str, Any]:
-    if not isinstance(item, np.ndarray) or item.size != 1:
-        return {}
-    return {field: item[field].reshape(-1)[0] for field in item.dtype.names or ()}
-
-
-def _names_below(name: str, item: object, depth: int) -> list[str]:
-    """Names of all columns of a variable: itself, columns of a matrix, and these in structs."""
-    fields = _fields(item) if depth < _MAX_STRUCTS else {}
-    if fields:
-        below = ((f"{name}.{field}", part) for field, part in fields.items())
-        return [one for path, part in below for one in _names_below(path, part, depth + 1)]
-    return matrix_columns(name, item.shape) if isinstance(item, np.ndarray) else [name]
+def _below(name: str, item: object, depth: int) -> Iterator[tuple[str, NDArray]]:
+    """The arrays of a variable by name: itself, or those in a struct."""
+    if not isinstance(item, np.ndarray):
+        return
+    if item.dtype.names is None:
+        yield name, item
+    elif item.size == 1 and depth < _MAX_STRUCTS:
+        for field in item.dtype.names:
+            yield from _below(f"{name}.{field}", item[field].reshape(-1)[0], depth + 1)
 
 
 # -- TDMS ----------------------------------------------------------------------------------------------
 
-_WAVEFORM_TIME = "waveform time"
-"""Name of the time of a waveform: its channels state the interval between samples, and no channel holds the time."""
-
 
 class Tdms(Container):
-    """The named channels: ``channel`` if only one group has it, else ``group/channel``."""
+    """The named channels: ``channel`` if only one group has it, else ``group/channel``.
+
+    The channels of a waveform state the interval between samples; no channel holds the time. It is ``waveform time``.
+    """
 
     name, remedy = "TDMS", "was the logger stopped? copy it again"
 
-    def read(self) -> None:
-        """Read the channels."""
+    def matching(self, name: str) -> list[str]:
+        """Channels with this name, with or without that of their group."""
+        return [one for one in self._sources if name in (one, one.partition("/")[2])]
+
+    def sources(self, stack: ExitStack) -> dict[str, _Source]:
+        """The channels, and the times of the groups whose channels are one waveform."""
         import nptdms
 
-        with open_regular(self.path) as stream, nptdms.TdmsFile.open(stream) as source:
-            channels = [channel for group in source.groups() for channel in group.channels()]
-            self._columns = {f"{one.group_name}/{one.name}": one for one in channels} | _times(channels)
-            columns = [(name, self._find(name)) for name in self.numeric]
-            units = {name: "s" if isinstance(one, tuple) else _unit(one.properties) for name, one in columns}
-            self.take(self._samples, units)
+        stream = stack.enter_context(open_regular(self.path))
+        source = stack.enter_context(nptdms.TdmsFile.open(stream))
+        found: dict[str, _Source] = {}
+        for group in source.groups():
+            waveforms = set()
+            for one in group.channels():
+                found[f"{group.name}/{one.name}"] = _Source(
+                    partial(self._samples, one), (len(one),), _unit(one.properties)
+                )
+                start, step = (
+                    float(one.properties.get(key, 0.0)) for key in ("wf_start_offset", "wf_increment")
+                )
+                waveforms.add((start, step, len(one)))
+            if len(waveforms) == 1 and (waveform := waveforms.pop())[1] > 0.0:
+                found[f"{group.name}/waveform time"] = _Source(
+                    partial(self._times, *waveform), (waveform[2],), "s"
+                )
+        return found
 
-    def _find(self, name: str) -> Any:
-        """The channel of this name, or start, interval and length of a waveform."""
-        short = {one: getattr(column, "name", _WAVEFORM_TIME) for one, column in self._columns.items()}
-        matching = [one for one in short if name in (one, short[one])]
-        if not matching:
-            raise no_column(self.path, name, list(self._columns))
-        if len(matching) > 1:
-            remedy = f"name it as one of {', '.join(map(repr, matching[:5]))}"
-            raise self.refusal(f"several groups have a channel '{name}'", remedy, name)
-        return self._columns[matching[0]]
+    def _samples(self, channel: Any) -> NDArray:
+        check_unpacked(self.path, 8 * len(channel))
+        return np.asarray(channel[:])
 
-    def _samples(self, name: str) -> NDArray:
-        column = self._find(name)
-        if isinstance(column, tuple):
-            start, step, count = column
-            check_unpacked(self.path, 8 * count)
-            return start + step * np.arange(count)
-        check_unpacked(self.path, 8 * len(column))
-        return np.asarray(column[:])
-
-
-def _times(channels: list[Any]) -> dict[str, tuple[float, float, int]]:
-    """Start [s], interval [s] and length of the waveforms, by name. A group whose channels differ has none."""
-    groups: dict[str, set[tuple[float, float, int]]] = {}
-    for channel in channels:
-        step, start = (float(channel.properties.get(key, 0.0)) for key in ("wf_increment", "wf_start_offset"))
-        groups.setdefault(channel.group_name, set()).add((start, step, len(channel)))
-    same = {group: min(one) for group, one in groups.items() if len(one) == 1 and min(one)[1] > 0.0}
-    return {f"{group}/{_WAVEFORM_TIME}": one for group, one in same.items()}
+    def _times(self, start: float, step: float, count: int) -> NDArray:
+        check_unpacked(self.path, 8 * count)
+        return start + step * np.arange(count)
 
 
 # -- XLSX ----------------------------------------------------------------------------------------------
