@@ -327,33 +327,22 @@ def from_si(value: float, unit: str) -> float:
 
 @dataclass(frozen=True)
 class UnitFactor:
-    """A factor between units that are often confused.
-
-    ``words`` name the units in a check of values; empty if values alone do not tell them. ``mixed`` are the (larger, smaller)
-    units by the key of ``[data]``.
-    """
+    """A factor between units that are often confused: its value, and the (larger, smaller) units by the key of ``[data]``."""
 
     value: float
-    words: str = ""
     mixed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 UNIT_FACTORS = (
-    UnitFactor(9.80665, "9.80665 (g and m/s^2)", {"reference": ("g", "m/s^2")}),
-    UnitFactor(
-        1e3, "1000 (mg and g)", {"reference": ("g", "mg"), "output": ("rad", "mrad"), "time": ("s", "ms")}
-    ),
-    UnitFactor(
-        1e6, "10^6 (ug and g)", {"reference": ("g", "ug"), "output": ("rad", "urad"), "time": ("s", "us")}
-    ),
-    UnitFactor(9806.65, "9806.65 (mg and m/s^2)"),
-    UnitFactor(180.0 / math.pi, "57.2958 (deg and rad)", {"output": ("rad", "deg")}),
-    UnitFactor(3600.0, "3600 (per hour and per second)", {"output": ("deg", "arcsec"), "time": ("h", "s")}),
-    UnitFactor(
-        648000.0 / math.pi, "206265 (deg/h and rad/s, or arcsec and rad)", {"output": ("rad", "arcsec")}
-    ),
-    UnitFactor(2.0 * math.pi, mixed={"output": ("rev", "rad")}),
-    UnitFactor(360.0, mixed={"output": ("rev", "deg")}),
+    UnitFactor(9.80665, {"reference": ("g", "m/s^2")}),
+    UnitFactor(1e3, {"reference": ("g", "mg"), "output": ("rad", "mrad"), "time": ("s", "ms")}),
+    UnitFactor(1e6, {"reference": ("g", "ug"), "output": ("rad", "urad"), "time": ("s", "us")}),
+    UnitFactor(9806.65),
+    UnitFactor(180.0 / math.pi, {"output": ("rad", "deg")}),
+    UnitFactor(3600.0, {"output": ("deg", "arcsec"), "time": ("h", "s")}),
+    UnitFactor(648000.0 / math.pi, {"output": ("rad", "arcsec")}),
+    UnitFactor(2.0 * math.pi, {"output": ("rev", "rad")}),
+    UnitFactor(360.0, {"output": ("rev", "deg")}),
     UnitFactor(4.0),
     UnitFactor(10.0),
 )

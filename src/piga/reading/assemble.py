@@ -33,7 +33,7 @@ from piga.records.run_file import Columns, ColumnTable, DataTable, PositionColum
 from piga.records.terms import integral_unit, scale_factor_in
 from piga.results import Array
 from piga.text_files import toml_bytes
-from piga.units import G0, UNIT_FACTORS, conversion_factor, offset_to_si, parse_unit, to_si
+from piga.units import conversion_factor, offset_to_si, parse_unit, to_si
 from piga.upper import doors
 
 _LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
@@ -44,8 +44,6 @@ _STUCK = 8
 """Fewest equal extreme values in a row that are reported (own choice)."""
 _RESTING = 6.0
 """Steps by which a reading falls beside a run of equal extreme values that is no turning point: twice those of one."""
-_SAMPLED = 1 << 17
-"""Rows of a long record that are examined for wrong units (own choice)."""
 _WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -109,9 +107,9 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
         unfolded = data.output.counted and instrument.counter_bits is None
         fastest = 1.5 * scale_factor * float(norms(f).max()) if unfolded else math.inf
         _mark_lost(raw, t, output, base, lost, fastest, fold)
-    if data.reference is not None:
-        _note_norm(raw, f)
-    _note_doubtful(raw, data.output.kind == "rate", t, output, f, base, scale_factor, scale)
+    if data.output.kind != "rate":
+        per_step = scale_factor / (scale.factor if scale.counts else 1e-3)
+        _note_stopped(raw, output, t, base.begins, f[:, 0], per_step)
     segment, labels, groups = _split_lost(raw, lost)
     return Run(
         serial=instrument.serial,
@@ -384,51 +382,6 @@ class _OutputScale:
     keeps_phase: bool = True
     counts: bool = False
     unit: str = "rad"
-
-
-def _note_doubtful(
-    raw: RawColumns,
-    rate: bool,
-    t: Array,
-    output: Array,
-    f: Array,
-    base: TimeBase,
-    K: float,
-    scale: _OutputScale,
-) -> None:
-    """Report units that are probably wrong and an output that does not turn. Nothing is changed. ``K``: nominal scale factor."""
-    at, count = np.arange(0, t.size, max(1, -(-t.size // _SAMPLED))), t.size
-    if rate:
-        shown = output[at]
-    else:
-        at, count = at[~base.begins[at]], count - int(np.count_nonzero(base.begins))
-        shown = (output[at] - output[at - 1]) / (t[at] - t[at - 1])
-    wanted = K * f[at, 0]
-    strong = np.abs(wanted) > 0.2 * np.abs(wanted).max(initial=0.0)
-    if strong.sum() >= _STUCK:
-        ratio = abs(float(np.median(shown[strong] / wanted[strong])))
-        keys = ", scale_factor and counts_per_revolution" if scale.unit == "rad" else " and scale_factor"
-        _note_unit(raw, count, ratio, 0.05, "the output is", f"its unit{keys}")
-    if not rate:
-        _note_stopped(raw, output, t, base.begins, f[:, 0], K / (scale.factor if scale.counts else 1e-3))
-
-
-def _note_norm(raw: RawColumns, f: Array) -> None:
-    """Report a static reference (n, 3) whose norm is g times a factor between units."""
-    norm = norms(f[:: max(1, -(-len(f) // _SAMPLED))])
-    typical = float(np.median(norm))
-    if typical > 0.0 and float(np.quantile(np.abs(norm - typical), 0.9)) <= 0.01 * typical:
-        what = f"|f| = {typical / G0:.5g} g in all positions:"
-        _note_unit(raw, raw.count, typical / G0, 0.01, what, "[data] reference unit")
-
-
-def _note_unit(raw: RawColumns, count: int, ratio: float, tolerance: float, what: str, check: str) -> None:
-    """Report a ratio that is a factor between units."""
-    for factor in UNIT_FACTORS:
-        for value, sense in ((ratio, "large"), (1.0 / ratio if ratio else 0.0, "small")):
-            if factor.words and abs(value / factor.value - 1.0) < tolerance:
-                detail = f"{what} too {sense} by {factor.words}? check {check}"
-                raw.events.append(Event("implausible-unit", count, int(raw.rows[0]), detail))
 
 
 def _note_stopped(
