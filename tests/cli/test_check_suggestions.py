@@ -57,12 +57,12 @@ def test_convert_keeps_base_rate_and_temperature(tmp_path: Path, kind: str) -> N
 
 
 def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
-    """A preamble, and time stamps: the first line leads to the second problem; both lines together solve it."""
-    rows = [f"12:00:{k / 20:06.3f},{row.split(',', 1)[1]}" for k, row in enumerate(lines())]
-    write_log(tmp_path, ["t,n,fx,fy,fz", *rows], header="Test 12,A")
+    """A decimal comma, and time stamps: the first line leads to the second problem; both lines together solve it."""
+    rows = [f"12:00:{k / 20:06.3f};{10179 * k // 20};1,000;1,100;1,001" for k in range(40)]
+    write_log(tmp_path, rows, header="t;n;fx;fy;fz")
     path = write_run(tmp_path)
     assert suggested(path) == [
-        ("data", "header_row = 2"),
+        ("data", 'decimal = ","'),
         ("data", 'time = { column = "t", stamp = "hh:mm:ss.f" }'),
     ]
 
@@ -70,11 +70,6 @@ def test_two_problems_one_after_the_other(tmp_path: Path) -> None:
 def test_nothing_is_suggested_that_does_not_help(tmp_path: Path) -> None:
     write_log(tmp_path, ["t,n,fx,fy,what", *lines()], header="Test 12,A")
     assert suggested(write_run(tmp_path)) == []
-
-
-def preamble(folder: Path) -> Path:
-    write_log(folder, ["t,n,fx,fy,fz", *lines()], header="Test 12\nstarted at noon")
-    return write_run(folder)
 
 
 def time_stamps(folder: Path) -> Path:
@@ -123,7 +118,6 @@ def decimal_or_thousands(folder: Path) -> Path:
 
 
 RECORDS: dict[str, tuple[Callable[[Path], Path], set[str]]] = {
-    "preamble": (preamble, {"header_row"}),
     "time-stamps": (time_stamps, {"time"}),
     "another-name": (another_name, {"output"}),
     "counter-that-folds": (counter_that_folds, {"counter_bits"}),

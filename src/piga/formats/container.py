@@ -12,10 +12,8 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from datetime import datetime, time, timedelta
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +30,7 @@ from piga.formats.columns import (
     no_column,
     refusal,
 )
-from piga.formats.text.convention import HeadRows, joined_names, units_in_names
+from piga.formats.text.convention import HeadRows
 from piga.formats.text.reader import TextStream
 from piga.tables import Column, arrow_table
 from piga.text_files import check_unpacked, first_line, open_regular
@@ -320,8 +318,6 @@ class Tdms(Container):
 
 # -- XLSX ----------------------------------------------------------------------------------------------
 
-_MOST_HEAD = 100
-"""Rows of a sheet within which the column names must stand."""
 _ODD_SIGNS = re.compile(r'[\t\r\n"]')
 """What would end a cell or a line of text."""
 
@@ -348,17 +344,6 @@ class Sheet:
     def pieces(self, skip: int) -> Iterator[bytes]:
         """All lines, without the first ``skip``."""
         yield b"".join(self.head.splitlines(keepends=True)[skip:])
-
-    def names_row(self, wanted: Iterable[str]) -> int | tuple[int, int] | None:
-        """The first row that holds all wanted names, counted from 1, or the two rows over which these stand; None without one."""
-        single = [tuple(line.split("\t")) for line in self.head.decode().split("\n")[:_MOST_HEAD]]
-        for at, names in enumerate(single, 1):
-            if {*wanted} <= {*names, *units_in_names(names)[0]}:
-                return at
-        for at, names in enumerate((joined_names(above, names) for above, names in pairwise(single)), 1):
-            if {*wanted} <= {*names, *units_in_names(names)[0]}:
-                return at, at + 1
-        return None
 
     def _rows(self, name: str | None) -> Iterator[tuple[Any, ...]]:
         import openpyxl
@@ -421,13 +406,10 @@ def columns_stream(
     ``sheet`` names the sheet of a spreadsheet. ``rows`` and ``text`` are options of
     :class:`piga.formats.text.reader.TextStream`.
     """
-    kind, rows = file_kind(path), rows or HeadRows()
+    kind = file_kind(path)
     if kind == ".xlsx":
-        source = Sheet(path, sheet)
-        if rows.header is None:
-            rows = replace(rows, header=source.names_row([*numeric, *([segment] if segment else [])]))
-        text |= {"separator": "\t", "decimal": "."}
-        return TextStream(path, numeric, segment, rows=rows, source=source, **text)
+        text |= {"source": Sheet(path, sheet), "separator": "\t", "decimal": "."}
+        return TextStream(path, numeric, segment, rows=rows, **text)
     if kind in TEXT_SUFFIXES:
         return TextStream(path, numeric, segment, rows=rows, **text)
     if kind in (".parquet", ".pq"):

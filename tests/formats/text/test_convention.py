@@ -23,17 +23,11 @@ def read(folder: Path, text: str, data: str = "", encoding: str = "utf-8") -> pi
     return piga.read_run(write_run(folder, data=data))
 
 
-@pytest.mark.parametrize("data", ["header_row = 4", "skip_rows = 3", "header_row = 4\nskip_rows = 1"])
+@pytest.mark.parametrize("data", ["", "header_row = 4", "skip_rows = 3", "header_row = 4\nskip_rows = 1"])
 def test_rows_before_the_header(tmp_path: Path, data: str) -> None:
     run = read(tmp_path, PREAMBLE + "\n".join([HEADER, *body(), ""]), data)
     assert run.size == 40
     assert run.row[0] == 5
-
-
-def test_the_row_with_the_names_is_named(tmp_path: Path) -> None:
-    with pytest.raises(piga.DataError) as caught:
-        read(tmp_path, PREAMBLE + "\n".join([HEADER, *body(), ""]))
-    assert "row 4 has these names: add [data] header_row = 4" in str(caught.value)
 
 
 @pytest.mark.parametrize(

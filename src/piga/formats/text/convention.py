@@ -15,7 +15,7 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ from piga.units import parse_unit
 
 SNIFF_BYTES = 1 << 16
 SEPARATORS = ";\t,|"
+_MOST_SEARCHED = 200
+"""Rows among which the names are looked for."""
 COMMENT = re.compile(r"^ *[#%]+ *")
 """Mark of a comment before the column names."""
 _NUMBER_POINT = re.compile(r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*$")
@@ -85,13 +87,22 @@ class HeadRows:
 
 
 def find_format(
-    text: str, path: Path, encoding: str, separator: str | None, decimal: str | None, rows: HeadRows
+    text: str,
+    path: Path,
+    encoding: str,
+    separator: str | None,
+    decimal: str | None,
+    rows: HeadRows,
+    wanted: Iterable[str] = (),
 ) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
-    ``separator`` and ``decimal`` are those of the run file; None: detected.
+    ``separator`` and ``decimal`` are those of the run file; None: detected. The header is the first row with all names
+    ``wanted``, or two rows over which these stand; else the first row that is neither empty nor a comment.
     """
     lines = lines_of(text)
+    if rows.header is None:
+        rows = replace(rows, header=_row_of(wanted, lines, rows.skip, separator))
     header_at = _header_at(lines, rows, path)
     named = rows.header is not False
     skip = header_at + named
@@ -113,6 +124,21 @@ def find_format(
     cells = [split_line(line, separator) for _, line in body[:50]]
     mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
     return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
+
+
+def _row_of(
+    wanted: Iterable[str], lines: list[str], skip: int, separator: str | None
+) -> int | tuple[int, int] | None:
+    """The first row that holds all wanted names, or the two rows over which these stand; None without one."""
+    for one in [separator] if separator else f"{SEPARATORS} ":
+        above: tuple[str, ...] = ()
+        for number, line in enumerate(lines[:_MOST_SEARCHED], start=1):
+            names = _head_cells(COMMENT.sub("", line), one)
+            for heads in (names, joined_names(above, names)):
+                if number > skip and wanted and {*wanted} <= {*heads, *units_in_names(heads)[0]}:
+                    return number if heads is names else (number - 1, number)
+            above = names
+    return None
 
 
 def lines_of(text: str) -> list[str]:

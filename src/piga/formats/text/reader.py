@@ -19,15 +19,11 @@ from piga.formats.columns import RecordStream, column_letter, refusal, with_rows
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
-    SEPARATORS,
     HeadRows,
     TextFormat,
     TextSource,
     check_present,
     find_format,
-    lines_of,
-    split_line,
-    units_in_names,
 )
 from piga.formats.text.time_stamp import StampClock, forms_of, time_stamp
 from piga.records.calibration.diagnostics import Event
@@ -39,8 +35,6 @@ _PART_BYTES = 1 << 16
 """Size of the parts in which a piece with damage is read again [bytes]. A part with damage is read line by line."""
 _BLOCK_BYTES = 1 << 20
 """Bytes per block that PyArrow tokenizes on one thread."""
-_MOST_SEARCHED = 200
-"""Rows among which the names are looked for, if the header lacks them."""
 
 
 class TextStream(RecordStream):
@@ -72,11 +66,22 @@ class TextStream(RecordStream):
         rows = rows or HeadRows()
         self._source = source or TextSource(path, encoding, wanted=self.wanted, first_rows=rows.last)
         head = self._source.head.decode("utf-8", errors="replace")
-        self._form = find_format(head, path, self._source.encoding, separator, decimal, rows)
+        self._form = form = find_format(
+            head, path, self._source.encoding, separator, decimal, rows, self.wanted
+        )
         self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))
         if stamp is not None:
-            self._form = replace(self._form, stamps={stamp[0]: time_stamp(stamp[1])})
-        _check_columns(self._form, self.wanted, head, path)
+            self._form = replace(form, stamps={stamp[0]: time_stamp(stamp[1])})
+        remedy, fixes = (
+            "correct the column name in [data], or [data] delimiter if the columns are not split",
+            [],
+        )
+        if not form.encoding.startswith("utf"):
+            remedy += (
+                f"; the file was read as {form.encoding}: add [data] encoding = '...' if the names are misread"
+            )
+            fixes = [Fix("data", "encoding")]
+        check_present(path, form.header, self.wanted, form.names, remedy, fixes)
         self.units = {name: unit for name, unit in self._form.units.items() if name in numeric}
         self._mask, self._faults = mask_damaged, Faults()
         self._row = self._form.skip + 1
@@ -223,31 +228,6 @@ def _parts(raw: bytes) -> Iterator[bytes]:
         end = raw.find(b"\n", min(start + _PART_BYTES, len(raw)) - 1) + 1 or len(raw)
         yield raw[start:end]
         start = end
-
-
-def _check_columns(form: TextFormat, wanted: list[str], head: str, path: Path) -> None:
-    fixes: list[Fix] = []
-    remedy = "correct the column name in [data], or [data] delimiter if the columns are not split"
-    row = None if set(wanted) <= {*form.names} else _row_of(wanted, head, form.header)
-    if row is not None:
-        remedy = f"row {row} has these names: add [data] header_row = {row}"
-        fixes = [Fix("data", "header_row", row)]
-    elif not form.encoding.startswith("utf"):
-        remedy += (
-            f"; the file was read as {form.encoding}: add [data] encoding = '...' if the names are misread"
-        )
-        fixes = [Fix("data", "encoding")]
-    check_present(path, form.header, wanted, form.names, remedy, fixes)
-
-
-def _row_of(wanted: list[str], head: str, after: int) -> int | None:
-    """The first row after ``after`` whose cells hold all wanted names, whatever its separator."""
-    for number, line in enumerate(lines_of(head)[:_MOST_SEARCHED], start=1):
-        for separator in f"{SEPARATORS} " if number > after else "":
-            names = tuple(cell.strip().strip('"').strip() for cell in split_line(line, separator))
-            if set(wanted) <= {*names, *units_in_names(names)[0]}:
-                return number
-    return None
 
 
 # -- line by line: slow and thorough -------------------------------------------------------------------
