@@ -90,21 +90,6 @@ def test_an_angle_that_folds_keeps_its_phase_over_whole_turns(
     assert (len(set(run.phase_group)) == 1) == kept
 
 
-def test_an_output_that_is_locked_in_one_position_is_not_called_saturated(tmp_path: Path) -> None:
-    """It rests at its largest value there, and runs away from it in the position before and after."""
-    moving = np.concatenate([np.arange(400) * 20, np.full(400, 7990), 7980 - 20 * np.arange(400)])
-    locked = slice(400, 800)
-    moving[locked] += np.random.default_rng(1).choice([0, -1], 400, p=[0.9, 0.1])
-    position = np.repeat([0, 1, 2], 400)
-    force = np.array([1.0, 0.0, -1.0])[position]
-    rows = [
-        f"{i / 20:.2f},{n},{0.04 * f:.4f},1.0,0.0,{p}"
-        for i, (n, f, p) in enumerate(zip(moving, force, position, strict=True))
-    ]
-    result = events(read(tmp_path, rows, header="t,n,fx,fy,fz,p", data='segment = "p"'))
-    assert "stuck-value" not in result
-
-
 def test_rate_and_temperature_and_base_rate(tmp_path: Path) -> None:
     rows = [f"{i / 20},50.9,1.0,0.1,0.0,25.0,15.0,0,0" for i in range(30)]
     write_log(tmp_path, rows, header="t,n,fx,fy,fz,T,wx,wy,wz")
@@ -151,16 +136,10 @@ def test_unwrapping_gives_back_any_counter(tmp_path: Path, seed: int, bits: int)
     np.testing.assert_allclose(np.diff(run.output) / run.resolution, np.diff(counts), atol=1e-6)
 
 
-@pytest.mark.parametrize("limit", [None, 60])
-def test_a_slow_counter_rests_where_it_turns(tmp_path: Path, limit: int | None) -> None:
-    """The plateau of a rounded turning point is expected; the same motion cut off by a limit is reported."""
-    force = np.cos(2.0 * np.pi * np.arange(4000) / 2000.0)
-    counts = np.round(np.cumsum(10179.0 * 0.002 * force / 20.0)).astype(int)
-    top = counts.max() if limit is None else counts.max() - limit
-    rows = [
-        f"{i / 20.0:.2f},{min(n, top)},{0.002 * f:.6f},0.1,0.0"
-        for i, (n, f) in enumerate(zip(counts, force, strict=True))
-    ]
+@pytest.mark.parametrize("limit", [None, 1.005])
+def test_a_reference_that_stays_at_a_limit_is_reported(tmp_path: Path, limit: float | None) -> None:
+    force = np.minimum(1.0 + 0.01 * np.sin(np.arange(400) / 30.0), limit or 2.0)
+    rows = [f"{i / 20.0:.2f},{round(10179.0 * i / 20.0)},{f:.6f},0.1,0.0" for i, f in enumerate(force)]
     assert ("stuck-value" in events(read(tmp_path, rows))) == (limit is not None)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from piga.reading.columns import (
     find_positions,
     read_columns,
     stand_files,
-    steady,
 )
 from piga.records.arrays import changes, empty, largest_size, norms, scaled, stored
 from piga.records.calibration.diagnostics import Event, Quality
@@ -42,8 +40,6 @@ _LEAST_TURN = 0.5
 """Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
 _STUCK = 8
 """Fewest equal extreme values in a row that are reported (own choice)."""
-_RESTING = 6.0
-"""Steps by which a reading falls beside a run of equal extreme values that is no turning point: twice those of one."""
 _WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -57,11 +53,8 @@ def read_record(path: Path, *, need_reference: bool = True, content: bytes | Non
         _check_reference(path, run_file)
     raw = read_columns(path.parent, run_file.data)
     inputs = {path.name: hashlib.sha256(content).hexdigest()} | raw.inputs
-    with ExitStack() as stack:
-        for name in stand_files(run_file.stand):
-            stack.enter_context(steady(path.parent / name, "[stand] file is relative to the run file"))
-            inputs[name] = file_digest(path.parent / name)
-        run = assemble(path, run_file, raw)
+    inputs |= {name: file_digest(path.parent / name) for name in stand_files(run_file.stand)}
+    run = assemble(path, run_file, raw)
     run.input_sha256.update(inputs)
     return run
 
@@ -146,10 +139,8 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
     if not any(event.kind in ("missing-value", "no-segment", "moving") for event in raw.events):
         raw.note("not-finite", ~raw.usable, "the row is not used")
     limits = data.range or {}
-    stand = data.segment.holds_of if isinstance(data.segment, PositionColumn) else None
-    for name in raw.numbers:
-        if name != stand:  # that of the stand is meant to stay where it is
-            _note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
+    for name in data.reference.columns if data.reference else ():
+        _note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
     for name, (low, high) in limits.items():
         out = (raw.numbers[name] <= low) | (raw.numbers[name] >= high)
         detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
@@ -330,11 +321,9 @@ def _leave_out_repeats(raw: RawColumns, t: Array) -> None:
 
 
 def _note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
-    """Report runs of the largest or smallest value in a column that otherwise changes all the time.
+    """Report runs of the largest or smallest value in a reference column that otherwise changes all the time.
 
-    A slow reading rests at its turning points and at its end until it has moved by one step. Such a plateau is expected
-    and not reported: a parabola whose rounded top has the length l falls by three steps at most within l/2 beside it.
-    A run at or beyond the declared ``limits`` is not reported either: it counts as saturated.
+    A run at or beyond the declared ``limits`` is not reported: it counts as saturated.
     """
     values = raw.numbers[name]
     finite = np.isfinite(values)
@@ -343,13 +332,7 @@ def _note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None
         return
     for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
         start, length = _longest_run(values == extreme)
-        if length < _STUCK or not limits[0] < extreme < limits[1]:
-            continue
-        beside = np.arange(max(start - length // 2, 0), min(start + 3 * length // 2, values.size))
-        near = values[beside[raw.segment[beside] == raw.segment[start]]]
-        steps = np.abs(np.diff(near))
-        step = float(np.min(steps, where=steps > 0.0, initial=np.inf))
-        if float(np.nanmax(np.abs(near - extreme))) > _RESTING * step:
+        if length >= _STUCK and limits[0] < extreme < limits[1]:
             detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
             raw.note("stuck-value", np.arange(start, start + length), detail)
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -143,10 +142,19 @@ class RawColumns:
 def read_columns(folder: Path, data: DataTable) -> RawColumns:
     """Read the whole data file of a run file. It must not change while it is read."""
     path = folder / data.file
-    with steady(path, "[data] file is relative to the run file"):
-        raw = collect(path, data, open_stream(folder, data))
-        raw.inputs[path.name] = file_digest(path)
+    before = _state(path)
+    raw = collect(path, data, open_stream(folder, data))
+    raw.inputs[path.name] = file_digest(path)
+    if _state(path) != before:
+        raise refusal(path, "the file changed while it was read", "stop what writes it, then try again")
     return raw
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """What shows that a file was changed or replaced: its size, times and number."""
+    with open_regular(path, "the file; [data] file is relative to the run file") as stream:
+        status = os.fstat(stream.fileno())
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
 
 
 def read_series(folder: Path, data: DataTable, names: Sequence[str]) -> tuple[Array, Array, dict[str, str]]:
@@ -204,21 +212,6 @@ def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
         row = int(chunk.rows[bad[0]])
         words = f"row {row}, column '{name}': {values[bad[0]]:g} is too large to compute with"
         raise DataError(f"{path}: {words}", remedy="correct it in the file", where=Where(path, row, (name,)))
-
-
-@contextmanager
-def steady(path: Path, remedy: str) -> Iterator[None]:
-    """Refuse a file that changes or is replaced while the block runs."""
-
-    def state() -> tuple[int, int, int, int]:
-        with open_regular(path, f"the file; {remedy}") as stream:
-            status = os.fstat(stream.fileno())
-        return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
-
-    before = state()
-    yield
-    if state() != before:
-        raise refusal(path, "the file changed while it was read", "stop what writes it, then try again")
 
 
 def stand_files(table: Any) -> list[str]:

@@ -8,39 +8,15 @@ import numpy as np
 import pytest
 
 import piga
-from piga.formats.text.convention import MAX_HEAD
-from piga.formats.text.reader import TextStream
 from tests.records.files import events, lines, write_run
 
 HEADER = b"t,n,fx,fy,fz\n"
 ROWS = ("\n".join(lines()) + "\n").encode()
-LONG = b"1" * (3 << 20)
 
 
 def read(folder: Path, content: bytes, name: str = "run.csv", **options: str) -> piga.Run:
     (folder / name).write_bytes(content)
     return piga.read_run(write_run(folder, name, **options))
-
-
-@pytest.mark.parametrize(
-    ("content", "row"),
-    [
-        (HEADER + LONG + b"\n", 2),
-        (HEADER + b"s,1,g,g,g\n" + LONG + b"\n", 3),
-        (LONG + b"\n" + ROWS, 1),
-        (b"# made by a logger\n\n" + HEADER + LONG + b"\n", 4),
-        (b"# noise\n" * (MAX_HEAD // 8) + HEADER + ROWS, MAX_HEAD // 8 + 1),
-        ((HEADER + LONG + b"\n" + ROWS).decode().encode("utf-16"), 2),
-    ],
-)
-def test_first_lines_that_are_too_long(tmp_path: Path, content: bytes, row: int) -> None:
-    (tmp_path / "run.csv").write_bytes(content)
-    with pytest.raises(
-        piga.DataError, match=rf"run\.csv: row {row}: a line too long, or too many comments"
-    ) as caught:
-        TextStream(tmp_path / "run.csv", ("t", "n"), None)
-    assert "first 1 MiB" in str(caught.value)
-    assert caught.value.remedy
 
 
 def test_a_line_without_end(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import codecs
 import gzip
-import os
 import re
 import zlib
 from collections import Counter
@@ -76,11 +75,6 @@ class HeadRows:
     units: int | bool | None = None
 
     @property
-    def last(self) -> int:
-        """The last row named."""
-        return max(self.skip, int(self.names or 0), int(self.units or 0))
-
-    @property
     def names(self) -> int | bool | None:
         """The row of the column names; of two rows the lower one."""
         return self.header[1] if isinstance(self.header, tuple) else self.header
@@ -113,7 +107,7 @@ def find_format(
     else:  # A, B, C, as in a spreadsheet
         names, units = tuple(map(column_letter, range(len(split_line(lines[header_at], separator))))), {}
     filled = ((i, line) for i, line in enumerate(lines[skip:], start=skip) if line.strip())
-    body = list(islice(filled, 50 + rows.last))
+    body = list(islice(filled, 50 + int(rows.units or 0)))
     units_at = _units_at(body, separator, rows, path) if named else None
     if units_at is not None:
         row_units = [unit_text(cell) for cell in split_line(lines[units_at], separator)]
@@ -394,8 +388,6 @@ def _decoded(head: bytes, encoding: str) -> str | None:
         return None
 
 
-_MAX_EXPANSION = 200
-"""Largest ratio of unpacked to packed size accepted for .gz files."""
 PIECE_BYTES = 4 << 20
 """Bytes read at a time."""
 MAX_LINE = 16 << 20
@@ -413,9 +405,7 @@ class TextSource:
     if the last line had no line end and was left out.
     """
 
-    def __init__(
-        self, path: Path, encoding: str | None, *, wanted: Iterable[str] = (), first_rows: int = 0
-    ) -> None:
+    def __init__(self, path: Path, encoding: str | None, *, wanted: Iterable[str] = ()) -> None:
         self.path, self.cut = path, False
         first = next(self._blocks(MAX_HEAD + 1), b"")
         if not first or (len(first) <= MAX_HEAD and first.isspace()):
@@ -428,12 +418,6 @@ class TextSource:
         whole = len(first) <= MAX_HEAD
         end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
         self.head = text if whole and not end else text[:end]
-        lines = self.head.splitlines()
-        filled = (line for line in lines if line.strip() and not line.lstrip().startswith(b"#"))
-        needed = 3 + first_rows  # header, units and first data row, and rows that the run file names
-        if not whole and len(list(islice(filled, needed))) < needed:
-            words = "a line too long, or too many comments: header, units and first data row must lie within the first"
-            raise refusal(path, f"{words} {MAX_HEAD >> 20} MiB", _EXPORT, row=len(lines) + 1)
 
     def pieces(self, skip: int) -> Iterator[bytes]:
         """Complete lines in order, without the first ``skip``."""
@@ -455,16 +439,11 @@ class TextSource:
 
     def _blocks(self, size: int) -> Iterator[bytes]:
         """The unpacked bytes of the file, ``size`` at a time. An error becomes one clear message."""
-        packed, total = self.path.suffix.lower() == ".gz", 0
+        packed = self.path.suffix.lower() == ".gz"
         try:
             with open_regular(self.path, wanted="the file; [data] file is relative to the run file") as file:
-                limit = os.fstat(file.fileno()).st_size * _MAX_EXPANSION
                 stream: Any = gzip.GzipFile(fileobj=file) if packed else file
                 while block := stream.read(size):
-                    total += len(block)
-                    if packed and total > limit:
-                        words = f"unpacks to more than {_MAX_EXPANSION} times its size"
-                        raise refusal(self.path, words, "unpack it by hand")
                     yield block
         except (OSError, EOFError, zlib.error) as error:
             raise refusal(self.path, f"cannot be read ({error})", "check the file") from None

@@ -64,7 +64,7 @@ class TextStream(RecordStream):
         super().__init__(path, numeric, label)
         self._empty = {*MISSING, *INFINITE, *missing}
         rows = rows or HeadRows()
-        self._source = source or TextSource(path, encoding, wanted=self.wanted, first_rows=rows.last)
+        self._source = source or TextSource(path, encoding, wanted=self.wanted)
         head = self._source.head.decode("utf-8", errors="replace")
         self._form = form = find_format(
             head, path, self._source.encoding, separator, decimal, rows, self.wanted
