@@ -127,16 +127,6 @@ def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:
         open_regular(tmp_path / "none")
 
 
-def test_a_label_of_a_megabyte_is_refused(tmp_path: Path) -> None:
-    """Kilobytes on disk; as text in every row it would be gigabytes."""
-    count = np.arange(3600, dtype=float)
-    labels = pa.DictionaryArray.from_arrays(np.zeros(3600, np.int32), ["a" * (1 << 20)])
-    table = dict.fromkeys(("t", "n", "fx", "fy", "fz"), count) | {"seg": labels}
-    parquet.write_table(pa.table(table), tmp_path / "run.parquet", compression="zstd", store_schema=False)
-    with pytest.raises(piga.DataError, match="has 1048576 characters"):
-        piga.read_run(write_run(tmp_path, "run.parquet", data='segment = "seg"'))
-
-
 def test_labels_of_parquet_in_their_order(tmp_path: Path) -> None:
     """Names in order of appearance, through row groups, nulls and dictionaries with words that are not used."""
     labels = ["b"] * 20 + ["a"] * 10 + ["c"] * 10

@@ -193,23 +193,6 @@ def test_an_extreme_between_missing_values_is_no_saturation(tmp_path: Path) -> N
     assert {event.kind for event in run.quality.events} == {"missing-value", "gap"}
 
 
-def test_an_output_that_stands_where_nothing_is_felt(tmp_path: Path) -> None:
-    """At rest across the gravity vector the output has no reason to turn: not a finding, whatever stands beside it."""
-    rows = []
-    for i, row in enumerate(lines(120)):
-        t, n, _, _, fz = row.split(",")
-        rows.append(f"{t},{n},1.0,0.0,{fz}" if i < 60 else f"{t},{round(10179.0 * 59 / 20.0)},0.0,1.0,{fz}")
-    write_log(tmp_path, rows)
-    run = piga.read_run(write_run(tmp_path))
-    assert "stopped-output" not in {event.kind for event in run.quality.events}
-    held = [
-        row if i < 60 else ",".join([row.split(",")[0], rows[59].split(",")[1], "1.0,0.0,0.0"])
-        for i, row in enumerate(rows)
-    ]
-    write_log(tmp_path, held)
-    assert "stopped-output" in {event.kind for event in piga.read_run(write_run(tmp_path)).quality.events}
-
-
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
     """docs/understanding/servo: s = K ml/(2 k_i), d = c K^2/k_i."""
     scale, pendulosity, gain, damping = 0.8884 / 9.80665, 9.06e-3, 3000.0, 0.05

@@ -100,9 +100,6 @@ def assemble(path: Path, run_file: RunFile, raw: RawColumns) -> Run:
         unfolded = data.output.counted and instrument.counter_bits is None
         fastest = 1.5 * scale_factor * float(norms(f).max()) if unfolded else math.inf
         _mark_lost(raw, t, output, base, lost, fastest, fold)
-    if data.output.kind != "rate":
-        per_step = scale_factor / (scale.factor if scale.counts else 1e-3)
-        _note_stopped(raw, output, t, base.begins, f[:, 0], per_step)
     segment, labels, groups = _split_lost(raw, lost)
     return Run(
         serial=instrument.serial,
@@ -365,23 +362,6 @@ class _OutputScale:
     keeps_phase: bool = True
     counts: bool = False
     unit: str = "rad"
-
-
-def _note_stopped(
-    raw: RawColumns, output: Array, t: Array, begins: NDArray[np.bool_], a_x: Array, per_step: float
-) -> None:
-    """Report an output that stands still although the reference demands rotation: locked, stuck or not connected.
-
-    ``a_x`` (n,) is the reference along X0 [m/s^2], ``per_step`` the output units per (m/s^2) and second.
-    """
-    still = ~begins & (np.abs(a_x) > 0.05 * largest_size(a_x))
-    still[1:] &= output[1:] == output[:-1]  # the first row begins a stretch
-    start, length = _longest_run(still)
-    run = slice(start, start + length)
-    expected = abs(per_step) * float(np.abs(a_x[run]) @ np.diff(t[run], prepend=t[start - 1]))
-    if length >= _STUCK and expected >= 10.0:
-        detail = f"the output stands still, but the reference expects {expected:.3g} counts: locked or stuck"
-        raw.events.append(Event("stopped-output", int(np.count_nonzero(still)), int(raw.rows[start]), detail))
 
 
 def _unwrapped(

@@ -28,7 +28,7 @@ from piga.records.calibration.diagnostics import Event, counted
 from piga.records.run import segments_of_visits
 from piga.records.run_file import DataTable
 from piga.results import Array
-from piga.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, MOST_NAME_LETTERS, open_regular
+from piga.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular
 from piga.units import conversion_factor, parse_unit, to_si
 
 
@@ -175,7 +175,9 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
             column.append(chunk.numbers[name])
         rows.append(chunk.rows)
         codes.append(np.zeros(chunk.rows.size, np.int32) if chunk.codes is None else chunk.codes)
-        _check_labels(path, str(data.label_column), stream.label_names)
+        if len(stream.label_names) > MAX_SEGMENTS:
+            words = f"column '{data.label_column}' has more than {MAX_SEGMENTS} different segments"
+            raise refusal(path, words, "name the column that numbers the positions", str(data.label_column))
     labels = stream.label_names if data.label_column else ["all"]
     segment, names = segments_of_visits(codes.finish(), labels)
     columns = {name: column.finish() for name, column in numbers.items()}
@@ -190,16 +192,6 @@ def collect(path: Path, data: DataTable, stream: RecordStream) -> RawColumns:
 
     pa.default_memory_pool().release_unused()
     return raw
-
-
-def _check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
-    if len(labels) > MAX_SEGMENTS:
-        words = f"column '{column}' has more than {MAX_SEGMENTS} different segments"
-        raise refusal(path, words, "name the column that numbers the positions", column)
-    longest = max(labels, key=len, default="")
-    if len(longest) > MOST_NAME_LETTERS:
-        words = f"column '{column}': the label '{longest[:40]}...' has {len(longest)} characters"
-        raise refusal(path, words, f"use {MOST_NAME_LETTERS} or fewer", column)
 
 
 def _check_size(path: Path, name: str, chunk: FileChunk) -> None:
