@@ -17,6 +17,7 @@ from scipy.io import savemat
 import piga
 from piga.errors import Where
 from piga.formats.container import columns_stream
+from piga.formats.text.convention import TextOptions
 from tests.records.containers import (
     WRITERS,
     Whole,
@@ -149,15 +150,15 @@ def test_sheets_formulas_and_text(tmp_path: Path) -> None:
         columns_stream(path, NAMES, None)
     assert [(fix.key, fix.value) for fix in caught.value.fixes] == [("sheet", "log"), ("sheet", "notes")]
     with pytest.raises(piga.DataError, match="no sheet 'data'"):
-        columns_stream(path, NAMES, None, "data")
-    assert whole(columns_stream(path, NAMES, None, "log")).rows.size == 40
+        columns_stream(path, NAMES, None, TextOptions(sheet="data"))
+    assert whole(columns_stream(path, NAMES, None, TextOptions(sheet="log"))).rows.size == 40
     run = piga.read_run(write_run(tmp_path, "run.xlsx", data='sheet = "log"'))
     assert run.size == 40
     sheet = book["log"]
     sheet["B9"] = "=B8+1"
     sheet["C10"] = "OVER"
     book.save(path)
-    table = columns_stream(path, NAMES, None, "log")
+    table = columns_stream(path, NAMES, None, TextOptions(sheet="log"))
     whole(table)
     assert {(e.kind, e.count, e.first_row) for e in table.events()} == {
         ("missing-value", 1, 9), ("missing-value", 1, 10),
@@ -167,7 +168,7 @@ def test_sheets_formulas_and_text(tmp_path: Path) -> None:
     with pytest.raises(
         piga.DataError, match=r"row 12, column 'n' \(B\): 'x5' is not a number.*row 13, column 'fx' \(C\)"
     ):
-        whole(columns_stream(path, NAMES, None, "log"))
+        whole(columns_stream(path, NAMES, None, TextOptions(sheet="log")))
 
 
 @pytest.mark.parametrize(("shape", "matlab"), [((700, 1), False), ((1, 700), False), ((1, 700), True)])

@@ -13,6 +13,7 @@ import pytest
 import piga
 from piga.formats.columns import ParquetStream
 from piga.formats.container import columns_stream
+from piga.formats.text.convention import TextOptions
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file
 from tests.records.containers import WRITERS, columns
@@ -69,7 +70,9 @@ def test_mutated_text(tmp_path: Path, mask: bool) -> None:
     kept = 0
     for _ in range(700 * SCALE):
         path.write_bytes(mutated(LOG, draw))
-        kept += outcome(lambda: list(TextStream(path, NAMES[:4], "fz", mask_damaged=mask).chunks()))
+        kept += outcome(
+            lambda: list(TextStream(path, NAMES[:4], "fz", TextOptions(mask_damaged=mask)).chunks())
+        )
     assert kept > 0
 
 

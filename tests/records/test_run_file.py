@@ -181,18 +181,6 @@ def test_more_segments_than_a_record_may_have(tmp_path: Path, monkeypatch: pytes
     assert piga.read_run(write_run(tmp_path)).size == 40
 
 
-def test_an_extreme_between_missing_values_is_no_saturation(tmp_path: Path) -> None:
-    """Nothing beside the plateau tells how far the reading would have gone on."""
-    rows = []
-    for i, row in enumerate(lines(200)):
-        t, n, fx, _, fz = row.split(",")
-        fy = "0.9" if 100 <= i < 110 else "" if 80 <= i < 130 else f"{0.1 + 0.001 * (i % 7):.4f}"
-        rows.append(f"{t},{n},{fx},{fy},{fz}")
-    write_log(tmp_path, rows)
-    run = piga.read_run(write_run(tmp_path))
-    assert {event.kind for event in run.quality.events} == {"missing-value", "gap"}
-
-
 def test_the_sizes_of_the_servo_are_those_of_its_formulas() -> None:
     """docs/understanding/servo: s = K ml/(2 k_i), d = c K^2/k_i."""
     scale, pendulosity, gain, damping = 0.8884 / 9.80665, 9.06e-3, 3000.0, 0.05

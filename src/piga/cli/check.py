@@ -85,7 +85,7 @@ def init(
 def _column_lines(described: LogDescription) -> Iterator[str]:
     layout = described.layout
     if layout is not None:
-        yield f"{described.path}: {layout.form.encoding} text; names in row {layout.rows.header}"
+        yield f"{described.path}: {layout.form.encoding} text; names in row {layout.options.header}"
     names = [column.name if len(column.name) < 60 else f"{column.name[:57]}..." for column in described.columns]
     width = max(map(len, names), default=0)
     for name, column in zip(names, described.columns, strict=True):

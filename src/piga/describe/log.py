@@ -31,8 +31,8 @@ from piga.formats.text.convention import (
     INFINITE,
     MISSING,
     NO_UNIT,
-    HeadRows,
     TextFormat,
+    TextOptions,
     TextSource,
     find_format,
     is_units_row,
@@ -118,19 +118,8 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     stamps = ((name, form) for name, some in cells if name not in numeric for form in forms_of(some[:50])[:1])
     stamp = next(stamps, None)
     read = tuple(name for name in (*numeric, *(stamp or ())[:1]) if name != label)
-    sheet = layout.facts.get("data.sheet")
-    stream = columns_stream(
-        path,
-        read,
-        label,
-        sheet.value if sheet else None,
-        layout.rows,
-        separator=form.separator,
-        decimal=form.decimal,
-        encoding=form.encoding,
-        mask_damaged=True,
-        stamp=stamp,
-    )
+    options = replace(layout.options, mask_damaged=True, stamp=stamp)
+    stream = columns_stream(path, read, label, options)
     numbers, codes = _collected(stream, read)
     if label in numeric and codes is not None:
         numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
@@ -277,7 +266,7 @@ class TextLayout:
     """
 
     form: TextFormat
-    rows: HeadRows
+    options: TextOptions
     sample: dict[str, list[str]]
     guesses: dict[str, Guess]
     facts: dict[str, Guess]
@@ -325,7 +314,8 @@ def _sheet_layout(path: Path) -> TextLayout:
             tuple(one for one in names if one != best),
         )
         facts["data.sheet"] = Guess(best, why, others)
-    return replace(layouts[best], guesses=guesses, facts=facts)
+    options = replace(layouts[best].options, sheet=best)
+    return replace(layouts[best], options=options, guesses=guesses, facts=facts)
 
 
 @dataclass(frozen=True)
@@ -353,8 +343,9 @@ def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SE
     decimal = _decimal(body, table.separator)
     above = names_in[0] - 1 if names_in else table.start
     names_at = names_in if len(names_in) > 1 else names_in[0] if names_in else False
-    rows = HeadRows(0 if names_in else above, names_at, units_at or False)
-    form = find_format(head, path, encoding, table.separator, decimal.value, rows)
+    passed = 0 if names_in else above
+    options = TextOptions(passed, names_at, units_at or False, table.separator, decimal.value, encoding)
+    form = find_format(head, path, encoding, options)
     sample = {
         name: [row[k] for row in body if len(row) > k and row[k] not in _EMPTY][:200]
         for k, name in enumerate(form.names)
@@ -373,11 +364,11 @@ def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SE
         elif len(names_in) > 1:
             why = "the names stand over two rows"
         guesses["header_row"] = Guess(names_at, why)
-    if rows.skip:
-        guesses["skip_rows"] = Guess(rows.skip, "lines before the numbers")
+    if passed:
+        guesses["skip_rows"] = Guess(passed, "lines before the numbers")
     if units_at:
         guesses["units_row"] = Guess(units_at, "it holds units and no numbers")
-    return TextLayout(form, rows, sample, guesses, _facts(lines[:above]))
+    return TextLayout(form, options, sample, guesses, _facts(lines[:above]))
 
 
 def _bare(line: str) -> str:

@@ -33,7 +33,7 @@ MOST_LISTED = 60
 """Most columns that a message lists."""
 GROUP_ROWS = 1 << 20
 """Rows of a row group of Parquet that is written."""
-REMEDIES = ("correct the column name in [data]", "store it as double or integer")
+REMEDIES = ("correct the name of the column", "store it as double or integer")
 """Remedies for a column that is not there, and for one that holds no numbers."""
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
@@ -71,20 +71,20 @@ class RecordStream:
         """Segment labels so far, in order of appearance."""
         return list(self._codes)
 
-    def take_schema(self, schema: Any, remedies: tuple[str, str] = REMEDIES) -> None:
+    def take_schema(self, schema: Any) -> None:
         """Check the wanted columns of an Arrow schema, and take their units: those that fields state, seconds for times."""
         import pyarrow as pa
 
         for name in self.wanted:
             if name not in schema.names:
-                raise no_column(self.path, name, schema.names, remedy=remedies[0])
+                raise no_column(self.path, name, schema.names, remedy=REMEDIES[0])
             if schema.names.count(name) > 1:
                 raise refusal(self.path, f"duplicate column name '{name}'", "rename one of them", name)
             kind, metadata = schema.field(name).type, schema.field(name).metadata or {}
             if name not in self.numeric:
                 continue
             if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or is_time(kind)):
-                raise refusal(self.path, f"column '{name}' holds {kind}, not numbers", remedies[1], name)
+                raise refusal(self.path, f"column '{name}' holds {kind}, not numbers", REMEDIES[1], name)
             unit = "s" if is_time(kind) else metadata.get(b"unit", b"").decode("utf-8", errors="replace")
             self.units |= {name: unit} if unit else {}
 
@@ -146,18 +146,11 @@ class RecordStream:
 
 
 class TableStream(RecordStream):
-    """A table in memory: an Arrow ``table``. ``remedies``: if a column is missing, and if it holds no numbers."""
+    """A table in memory: an Arrow ``table``."""
 
-    def __init__(
-        self,
-        path: Path,
-        table: Any,
-        numeric: Iterable[str],
-        label: str | None,
-        remedies: tuple[str, str] = REMEDIES,
-    ) -> None:
+    def __init__(self, path: Path, table: Any, numeric: Iterable[str], label: str | None) -> None:
         super().__init__(path, numeric, label)
-        self.take_schema(table.schema, remedies)
+        self.take_schema(table.schema)
         self.table, self.rows = table, np.arange(1, 1 + table.num_rows)
 
     def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:

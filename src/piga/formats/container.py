@@ -12,6 +12,7 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from datetime import datetime, time, timedelta
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ from piga.formats.columns import (
     no_column,
     refusal,
 )
-from piga.formats.text.convention import HeadRows
+from piga.formats.text.convention import TextOptions
 from piga.formats.text.reader import TextStream
 from piga.tables import Column, arrow_table
 from piga.text_files import check_unpacked, first_line, open_regular
@@ -394,24 +395,15 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".dat", ".log", ".prn",
 
 
 def columns_stream(
-    path: Path,
-    numeric: tuple[str, ...],
-    segment: str | None = None,
-    sheet: str | None = None,
-    rows: HeadRows | None = None,
-    **text: Any,
+    path: Path, numeric: tuple[str, ...], segment: str | None = None, options: TextOptions | None = None
 ) -> RecordStream:
-    """Open the number columns ``numeric`` and the segment column of a data file.
-
-    ``sheet`` names the sheet of a spreadsheet. ``rows`` and ``text`` are options of
-    :class:`piga.formats.text.reader.TextStream`.
-    """
-    kind = file_kind(path)
+    """Open the number columns ``numeric`` and the segment column of a data file; ``options`` are those of text and sheets."""
+    kind, options = file_kind(path), options or TextOptions()
     if kind == ".xlsx":
-        text |= {"source": Sheet(path, sheet), "separator": "\t", "decimal": "."}
-        return TextStream(path, numeric, segment, rows=rows, **text)
+        options = replace(options, separator="\t", decimal=".")
+        return TextStream(path, numeric, segment, options, Sheet(path, options.sheet))
     if kind in TEXT_SUFFIXES:
-        return TextStream(path, numeric, segment, rows=rows, **text)
+        return TextStream(path, numeric, segment, options)
     if kind in (".parquet", ".pq"):
         return ParquetStream(path, numeric, segment)
     if kind in CONTAINERS:

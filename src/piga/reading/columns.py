@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from piga.errors import DataError, Fix, Where
 from piga.formats.columns import FileChunk, RecordStream, refusal
 from piga.formats.container import TEXT_SUFFIXES, columns_stream, file_kind
-from piga.formats.text.convention import HeadRows
+from piga.formats.text.convention import TextOptions
 from piga.formats.text.reader import is_number
 from piga.records.arrays import ColumnWriter, largest_size, scaled, stored
 from piga.records.calibration.diagnostics import Event, counted
@@ -38,26 +38,24 @@ def open_stream(folder: Path, data: DataTable) -> RecordStream:
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
     if data.sheet is not None and kind != ".xlsx":
         raise refusal(path, "[data] sheet is for .xlsx files", "leave it out")
-    rows = HeadRows(data.skip_rows, data.header_row, data.units_row)
-    if kind in TEXT_SUFFIXES:
-        return columns_stream(
-            path,
-            *columns,
-            data.sheet,
-            rows,
-            separator=data.delimiter,
-            decimal=data.decimal,
-            encoding=data.encoding,
-            stamp=(data.time.column, stamp) if data.time and stamp else None,
-            missing=data.missing,
-            mask_damaged=data.damaged_rows == "mask",
-        )
-    if rows != HeadRows():
-        raise refusal(path, "[data] skip_rows, header_row and units_row are for text files", "leave them out")
-    if stamp is not None:
-        remedy = "give unit = 's': dates and time stamps of Parquet are read as seconds"
-        raise refusal(path, "[data] time: stamp is for text files", remedy)
-    return columns_stream(path, *columns)
+    options = TextOptions(
+        data.skip_rows,
+        data.header_row,
+        data.units_row,
+        data.delimiter,
+        data.decimal,
+        data.encoding,
+        (data.time.column, stamp) if data.time and stamp else None,
+        data.missing,
+        data.damaged_rows == "mask",
+        data.sheet,
+    )
+    rows = options.skip, options.header, options.units, options.stamp
+    if kind not in TEXT_SUFFIXES and rows != (0, None, None, None):
+        words = "[data] skip_rows, header_row, units_row and a stamp of the time are for text files"
+        remedy = "leave them out; dates and time stamps of Parquet are read as seconds: unit = 's'"
+        raise refusal(path, words, remedy)
+    return columns_stream(path, *columns, options)
 
 
 @dataclass

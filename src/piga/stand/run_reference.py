@@ -299,12 +299,11 @@ def run_from_table(
     if isinstance(attached, dict):  # of a pandas data frame, by to_dataframe
         own |= {str(name): str(unit) for name, unit in attached.items()}
     units = {name: unit for name, unit in own.items() if unit} | units
-    remedies = ("name a column of the table", "turn it into numbers first, e.g. with astype(float)")
     try:
         _add_units(data, unit, units, () if si else names)
         run_file = check_run_file(converted(described, RunFile))
         columns = run_file.data.number_columns(), run_file.data.label_column
-        stream = TableStream(WHERE, arrow, *columns, remedies)
+        stream = TableStream(WHERE, arrow, *columns)
         stream.units |= {name: unit for name, unit in units.items() if name in stream.units}
         return read_stream(WHERE, run_file, stream)
     except msgspec.ValidationError as error:

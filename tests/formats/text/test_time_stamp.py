@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import piga
+from piga.formats.text.convention import TextOptions
 from piga.formats.text.reader import TextStream
 from piga.formats.text.time_stamp import FORMS, StampClock, forms_of, time_stamp
 
@@ -78,26 +79,29 @@ def test_zones_and_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     path = log(tmp_path, cells)
     for piece in (1 << 20, 100):
         monkeypatch.setattr("piga.formats.text.convention.PIECE_BYTES", piece)
-        stream = TextStream(path, ("time", "n"), None, stamp=("time", "iso"))
+        stream = TextStream(path, ("time", "n"), None, TextOptions(stamp=("time", "iso")))
         t = np.concatenate([chunk.numbers["time"] for chunk in stream.chunks()])
         np.testing.assert_allclose(t, 3590.5 + np.arange(20), atol=1e-9)
 
 
 def test_a_cell_that_is_no_stamp_is_named(tmp_path: Path) -> None:
     path = log(tmp_path, ["12:00:00.0", "12:00:00.1", "noon", "12:00:00.3"])
-    stream = TextStream(path, ("time", "n"), None, stamp=("time", "hh:mm:ss.f"))
+    stream = TextStream(path, ("time", "n"), None, TextOptions(stamp=("time", "hh:mm:ss.f")))
     with pytest.raises(
         piga.DataError, match=r"row 4, column 'time' \(A\): 'noon' is not a time stamp of the form hh:mm"
     ):
         list(stream.chunks())
-    masked = TextStream(path, ("time", "n"), None, stamp=("time", "hh:mm:ss.f"), mask_damaged=True)
+    masked = TextStream(path, ("time", "n"), None, TextOptions(stamp=("time", "hh:mm:ss.f"), mask_damaged=True))
     assert sum(chunk.rows.size for chunk in masked.chunks()) == 3
     assert [(event.kind, event.count) for event in masked.events()] == [("not-a-time", 1)]
 
 
 def test_a_missing_stamp_is_counted(tmp_path: Path) -> None:
     stream = TextStream(
-        log(tmp_path, ["12:00:00.0", "", "12:00:00.2"]), ("time", "n"), None, stamp=("time", "hh:mm:ss.f")
+        log(tmp_path, ["12:00:00.0", "", "12:00:00.2"]),
+        ("time", "n"),
+        None,
+        TextOptions(stamp=("time", "hh:mm:ss.f")),
     )
     t = np.concatenate([chunk.numbers["time"] for chunk in stream.chunks()])
     np.testing.assert_array_equal(np.isnan(t), [False, True, False])

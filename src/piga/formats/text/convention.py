@@ -21,7 +21,7 @@ from typing import Any
 
 from piga.errors import Fix, UnitError
 from piga.formats.columns import REMEDIES, column_letter, no_column, refusal
-from piga.formats.text.time_stamp import TimeStamp, forms_of
+from piga.formats.text.time_stamp import TimeStamp, forms_of, time_stamp
 from piga.text_files import open_regular
 from piga.units import parse_unit
 
@@ -63,16 +63,25 @@ class TextFormat:
 
 
 @dataclass(frozen=True)
-class HeadRows:
-    """What the run file says about the first rows. Rows are counted from 1.
+class TextOptions:
+    """What the run file says about a text file. None: detected from the file.
 
-    ``skip``: lines before the header. ``header``: row of the column names, or the two rows over which they stand.
-    ``units``: row of the units. False: there is none. None: detected from the file.
+    Rows are counted from 1. ``skip``: lines before the header. ``header``: row of the column names, or the two rows over which
+    they stand. ``units``: row of the units. False: there is none. ``stamp``: name and form of a number column that holds time
+    stamps. ``missing``: further words that mean a missing value. ``mask_damaged``: leave damaged rows out and count them by
+    kind, instead of refusing the file. ``sheet``: name of the sheet of a spreadsheet.
     """
 
     skip: int = 0
     header: int | bool | tuple[int, ...] | None = None
     units: int | bool | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    stamp: tuple[str, str] | None = None
+    missing: tuple[str, ...] = ()
+    mask_damaged: bool = False
+    sheet: str | None = None
 
     @property
     def names(self) -> int | bool | None:
@@ -81,27 +90,21 @@ class HeadRows:
 
 
 def find_format(
-    text: str,
-    path: Path,
-    encoding: str,
-    separator: str | None,
-    decimal: str | None,
-    rows: HeadRows,
-    wanted: Iterable[str] = (),
+    text: str, path: Path, encoding: str, options: TextOptions, wanted: Iterable[str] = ()
 ) -> TextFormat:
     """Detect separator, decimal mark, header names, units row and number of lines to skip, from the head of a file.
 
-    ``separator`` and ``decimal`` are those of the run file; None: detected. The header is the first row with all names
-    ``wanted``, or two rows over which these stand; else the first row that is neither empty nor a comment.
+    The header is the first row with all names ``wanted``, or two rows over which these stand; else the first row that is
+    neither empty nor a comment.
     """
-    lines = lines_of(text)
+    lines, rows = lines_of(text), options
     if rows.header is None:
-        rows = replace(rows, header=_row_of(wanted, lines, rows.skip, separator))
+        rows = replace(rows, header=_row_of(wanted, lines, rows.skip, rows.separator))
     header_at = _header_at(lines, rows, path)
     named = rows.header is not False
     skip = header_at + named
     sample = list(islice((line for line in lines[skip:] if line.strip()), 50))
-    separator = separator or _find_separator(lines[header_at], sample)
+    separator = rows.separator or _find_separator(lines[header_at], sample)
     if named:
         names, units = _named_columns(lines, header_at, sample, separator, rows, path)
     else:  # A, B, C, as in a spreadsheet
@@ -116,8 +119,9 @@ def find_format(
     if not body:
         raise refusal(path, "a header but no data", "check that the logger wrote data")
     cells = [split_line(line, separator) for _, line in body[:50]]
-    mark = _decimal_mark(cells, separator, decimal, path, body[0][0] + 1)
-    return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1)
+    mark = _decimal_mark(cells, separator, rows.decimal, path, body[0][0] + 1)
+    stamps = {} if rows.stamp is None else {rows.stamp[0]: time_stamp(rows.stamp[1])}
+    return TextFormat(encoding, separator, mark, names, skip, units, header_at + 1, stamps)
 
 
 def _row_of(
@@ -141,7 +145,7 @@ def lines_of(text: str) -> list[str]:
 
 
 def _named_columns(
-    lines: list[str], at: int, sample: list[str], separator: str, rows: HeadRows, path: Path
+    lines: list[str], at: int, sample: list[str], separator: str, rows: TextOptions, path: Path
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     names = _head_cells(lines[at] if rows.header is None else COMMENT.sub("", lines[at]), separator)
     if isinstance(rows.header, tuple):
@@ -174,7 +178,7 @@ def split_line(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else line.split(separator)
 
 
-def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
+def _header_at(lines: list[str], rows: TextOptions, path: Path) -> int:
     """Index of the line with the column names: as named, else the first that is neither empty nor a comment."""
     at = rows.names
     if isinstance(at, int) and not isinstance(at, bool):
@@ -194,7 +198,7 @@ def _header_at(lines: list[str], rows: HeadRows, path: Path) -> int:
     raise refusal(path, "the file is empty", "check that the logger wrote data")
 
 
-def _units_at(body: list[tuple[int, str]], separator: str, rows: HeadRows, path: Path) -> int | None:
+def _units_at(body: list[tuple[int, str]], separator: str, rows: TextOptions, path: Path) -> int | None:
     """Index of the units row: as named, else the first row after the header if it is one."""
     if rows.units is False or not body:
         return None
@@ -449,28 +453,19 @@ class TextSource:
             raise refusal(self.path, f"cannot be read ({error})", "check the file") from None
 
     def _as_utf8(self, blocks: Iterator[bytes]) -> Iterator[bytes]:
-        """The blocks as UTF-8 without byte-order mark. Valid text before a byte that is no text is given first."""
+        """The blocks as UTF-8 without byte-order mark. A byte that is no text becomes one that is not UTF-8: damage of its row."""
         if self.encoding in _PLAIN:
             yield next(blocks, b"").removeprefix(codecs.BOM_UTF8)
             yield from blocks
             return
-        decoder = codecs.getincrementaldecoder(self.encoding)()
-        offset = lines = 0
-        for block in blocks:
-            kept, state = decoder.getstate()
+        decoder = codecs.getincrementaldecoder(self.encoding)("surrogateescape")
+        for number, block in enumerate(blocks):
             try:
                 text = decoder.decode(block)
-            except UnicodeError as error:  # without a place: UTF-16 or UTF-32 without a byte-order mark
-                start = error.start if isinstance(error, UnicodeDecodeError) else 0
-                good = max(start - len(kept), 0)
-                decoder.setstate((kept, state))
-                yield decoder.decode(block[:good]).encode("utf-8", errors="surrogatepass")
-                row = lines + block[:good].count(b"\n") + 1
-                words = f"byte {offset - len(kept) + start} is not {self.encoding} text"
-                raise refusal(self.path, words, _DECLARE, row=row, fixes=_ENCODING) from None
-            yield text.removeprefix("\ufeff" if offset == 0 else "").encode("utf-8", errors="surrogatepass")
-            offset += len(block)
-            lines += block.count(b"\n")
+            except UnicodeError:  # UTF-16 or UTF-32 without a byte-order mark
+                words = f"it is not {self.encoding} text"
+                raise refusal(self.path, words, _DECLARE, fixes=_ENCODING) from None
+            yield text.removeprefix("\ufeff" if number == 0 else "").encode("utf-8", errors="surrogatepass")
 
     def _refuse_utf16(self, head: bytes) -> None:
         """Refuse text with a NUL in every second byte: it is UTF-16 without byte-order mark."""

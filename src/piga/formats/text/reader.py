@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +19,13 @@ from piga.formats.columns import RecordStream, column_letter, refusal, with_rows
 from piga.formats.text.convention import (
     INFINITE,
     MISSING,
-    HeadRows,
     TextFormat,
+    TextOptions,
     TextSource,
     check_present,
     find_format,
 )
-from piga.formats.text.time_stamp import StampClock, forms_of, time_stamp
+from piga.formats.text.time_stamp import StampClock, forms_of
 from piga.records.calibration.diagnostics import Event
 
 _BLANKS = re.compile(rb"[ \t]+")
@@ -40,10 +40,8 @@ _BLOCK_BYTES = 1 << 20
 class TextStream(RecordStream):
     """The named columns of a text file, plain or ``.gz``, chunk by chunk.
 
-    ``separator``, ``decimal``, ``encoding`` and ``rows`` are those of the run file; None: detected from the file. ``stamp``:
-    name and form of a number column that holds time stamps. It is given in seconds since the first midnight. ``missing``:
-    further words that mean a missing value. ``mask_damaged``: leave damaged rows out and count them by kind, instead of
-    refusing the file. ``source``: the lines, in place of those of the file, as :class:`TextSource` gives them.
+    Time stamps are given in seconds since the first midnight. ``source``: the lines, in place of those of the file, as
+    :class:`TextSource` gives them.
     """
 
     def __init__(
@@ -51,27 +49,16 @@ class TextStream(RecordStream):
         path: Path,
         numeric: tuple[str, ...],
         label: str | None,
-        *,
-        separator: str | None = None,
-        decimal: str | None = None,
-        encoding: str | None = None,
-        rows: HeadRows | None = None,
-        stamp: tuple[str, str] | None = None,
-        missing: tuple[str, ...] = (),
-        mask_damaged: bool = False,
+        options: TextOptions | None = None,
         source: Any = None,
     ) -> None:
         super().__init__(path, numeric, label)
-        self._empty = {*MISSING, *INFINITE, *missing}
-        rows = rows or HeadRows()
-        self._source = source or TextSource(path, encoding, wanted=self.wanted)
+        options = options or TextOptions()
+        self._empty = {*MISSING, *INFINITE, *options.missing}
+        self._source = source or TextSource(path, options.encoding, wanted=self.wanted)
         head = self._source.head.decode("utf-8", errors="replace")
-        self._form = form = find_format(
-            head, path, self._source.encoding, separator, decimal, rows, self.wanted
-        )
-        self._clock = None if stamp is None else StampClock(time_stamp(stamp[1]))
-        if stamp is not None:
-            self._form = replace(form, stamps={stamp[0]: time_stamp(stamp[1])})
+        self._form = form = find_format(head, path, self._source.encoding, options, self.wanted)
+        self._clock = StampClock(*form.stamps.values()) if form.stamps else None
         remedy, fixes = (
             "correct the column name in [data], or [data] delimiter if the columns are not split",
             [],
@@ -82,10 +69,10 @@ class TextStream(RecordStream):
             )
             fixes = [Fix("data", "encoding")]
         check_present(path, form.header, self.wanted, form.names, remedy, fixes)
-        self.units = {name: unit for name, unit in self._form.units.items() if name in numeric}
-        self._mask, self._faults = mask_damaged, Faults()
-        self._row = self._form.skip + 1
-        self._read, self._last_filled = 0, self._form.skip
+        self.units = {name: unit for name, unit in form.units.items() if name in numeric}
+        self._mask, self._faults = options.mask_damaged, Faults()
+        self._row = form.skip + 1
+        self._read, self._last_filled = 0, form.skip
 
     def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
         """Record batches, and the file rows of each.
