@@ -45,5 +45,5 @@ def test_a_damaged_row_near_the_start_does_not_end_the_table(tmp_path: Path, dam
     body[20] = damage
     (tmp_path / "x.csv").write_text("\n".join(["t,n,fx,fy,fz", *body]) + "\n")
     layout = text_layout(tmp_path / "x.csv")
-    assert layout.rows.header == 1
+    assert layout.options.header == 1
     assert layout.form.names == ("t", "n", "fx", "fy", "fz")

@@ -102,35 +102,31 @@ def norms(f: NDArray[Any]) -> NDArray[np.float64]:
 
 
 class ColumnWriter:
-    """A column of unknown length to which rows are appended. A :class:`DataError` if the disk has no room for it."""
+    """A column of unknown length to which rows are appended: in memory, above LARGE_BYTES in a file without a name.
+
+    A :class:`DataError` if the disk has no room for it.
+    """
 
     def __init__(self, dtype: DTypeLike = np.float64) -> None:
-        self._dtype, self._parts, self._bytes = np.dtype(dtype), [np.empty(0, dtype)], 0
-        self._stream: Any = None
+        self._dtype = np.dtype(dtype)
+        self._stream: Any = tempfile.SpooledTemporaryFile(LARGE_BYTES, dir=folder())  # noqa: SIM115 - closed by finish
 
     def append(self, values: NDArray[Any]) -> None:
-        """Append rows: in memory (``values`` must not change then), above LARGE_BYTES in a file without a name."""
-        self._parts.append(np.ascontiguousarray(values, self._dtype))
-        self._bytes += self._parts[-1].nbytes
-        if self._bytes > LARGE_BYTES:
-            with _room():
-                self._stream = self._stream or tempfile.TemporaryFile(dir=folder())  # noqa: SIM115 - closed by finish
-                for part in self._parts:
-                    self._stream.write(part.data)
-            self._parts = []
+        """Append rows."""
+        with _room():
+            self._stream.write(np.ascontiguousarray(values, self._dtype).data)
 
     def finish(self) -> NDArray[Any]:
-        """All rows; the parts are given back."""
-        if self._stream is None:
-            parts, self._parts = self._parts, []
-            return np.concatenate(parts)
+        """All rows."""
         with _room(), self._stream as stream:
-            stream.flush()
-            return np.asarray(np.memmap(stream, self._dtype, "r+"))
+            if stream.tell() > LARGE_BYTES:
+                stream.flush()
+                return np.asarray(np.memmap(stream, self._dtype, "r+"))
+            stream.seek(0)
+            return np.frombuffer(bytearray(stream.read()), self._dtype)
 
     def __del__(self) -> None:
-        if self._stream is not None:
-            self._stream.close()
+        self._stream.close()
 
 
 def folder() -> str:

@@ -5,6 +5,7 @@ A part of a file that PyArrow does not read is read line by line. Every damaged 
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -326,19 +327,10 @@ def split_cells(line: str, separator: str) -> list[str] | None:
     """Cells of a line. A quoted cell is not split. None if a quotation mark is not closed."""
     if '"' not in line:
         return line.split(separator)
-    cells, at = [], 0
-    while at <= len(line):
-        end = at
-        if line[at : at + 1] == '"':
-            closing = re.compile(r'(?:[^"]|"")*"').match(line, at + 1)
-            if closing is None:
-                return None
-            end = closing.end()
-        end = line.find(separator, end)
-        end = len(line) if end < 0 else end
-        cells.append(line[at:end])
-        at = end + 1
-    return cells
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error:
+        return None
 
 
 def is_number(cell: str, decimal: str) -> bool:
