@@ -36,13 +36,7 @@ from piga import earth
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.result import write_rows
 from piga.formats.text.reader import TextStream
-from piga.instrument import (
-    Instrument,
-    propagate_fleet,
-    propagate_increments,
-    propagate_rate,
-    propagate_segments,
-)
+from piga.instrument import Instrument, propagate_segments
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.platform import compare, compensator, simulate, true_knowledge
 from piga.platform.navigator import inertial_states, true_start
@@ -85,12 +79,6 @@ def vibration(t: Array) -> Array:
     return G0 * np.stack([x, y, z], axis=-1)
 
 
-def vibration_integral(t: Array) -> Array:
-    x = 0.5 * t - 0.5 * np.cos(W * t) / W
-    y, z = 5.0 * np.sin(W * t + 0.4) / W, -2.0 * np.cos(W * t + 1.0) / W
-    return G0 * np.stack([x, y, z], axis=-1)
-
-
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"})
 def rk4(t, f, K, tan_beta, alpha0, parts, alpha):
     """Baseline: the classical Runge-Kutta method, ``parts`` steps between samples, input linear."""
@@ -119,19 +107,14 @@ def motion(_: list[int]) -> tuple[str, Values]:
     """Exact motion of a sample, beside Runge-Kutta and DOP853 of the same error."""
     n, values = 1_000_000, {}
     t, f = np.arange(n) * 1e-3, np.random.default_rng(2).normal(0.0, 10.0, (n, 3))
-    dv, alpha = f[1:] * 1e-3, np.empty(n)
+    alpha = np.empty(n)
     for name, work in {
-        "rate output, one core": lambda: propagate_rate(INST, t, f, between="linear"),
         "angle output, one core": lambda: piga.propagate(INST, t, f, between="linear"),
         "angle output, smooth between samples, one core": lambda: piga.propagate(INST, t, f),
         "angle and rate, one core": lambda: piga.propagate(INST, t, f, with_rate=True, between="linear"),
-        "angle from increments, one core": lambda: propagate_increments(INST, t, dv),
         "baseline: compiled RK4, one step a sample": lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, 1, alpha),
     }.items():
         values[name] = seconds(work, 9) / n * 1e9
-    fleet, some = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(256)], 20_000
-    own = seconds(lambda: propagate_fleet(fleet, t[:some], f[:some], between="linear"), 9)
-    values["fleet of 256, angle"] = own / some / len(fleet) * 1e9
     values["constant stretch of 1e6 s, one step"] = (
         seconds(lambda: propagate_segments(INST, np.array([1e6]), np.array([[G0, 5 * G0, 0.0]])), 11) * 1e6
     )
@@ -169,13 +152,13 @@ def smooth_vibration() -> Values:
         return [K * G0 * (0.5 + 0.5 * math.sin(W * t) + TAN_BETA * pull)]
 
     grid = np.linspace(0.0, 100.0, 14_001)
-    dv = np.diff(vibration_integral(grid), axis=0)
+    f = vibration(grid)
     base = seconds(lambda: solve_ivp(slope, (0.0, 100.0), [INST.alpha0], "DOP853", rtol=1e-9, atol=1e-9), 5)
-    own = seconds(lambda: propagate_increments(INST, grid, dv), 11)
+    own = seconds(lambda: piga.propagate(INST, grid, f), 11)
     return {
         "smooth vibration: SciPy DOP853": base * 1e3,
-        "smooth vibration: increments at 140 Hz": own * 1e3,
-        "smooth vibration: DOP853 over increments": base / own,
+        "smooth vibration: exact motion at 140 Hz": own * 1e3,
+        "smooth vibration: DOP853 over exact motion": base / own,
     }
 
 

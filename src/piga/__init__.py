@@ -44,7 +44,7 @@ The model
    \alpha' = u_x + \tan\beta\,(u_Y \sin\alpha - u_Z \cos\alpha), \qquad u = K f - \Omega
 
 Specific force is smooth between sample times, in :func:`propagate`, :func:`calibrate` and
-:func:`compensate` alike; increments are exact. Numbers handed to
+:func:`compensate` alike. Numbers handed to
 the library are SI; text such as ``"0.8884 rad/s/g"`` carries its unit.
 
 Tasks

@@ -1,6 +1,6 @@
 """The twin's equations once more, written another way: vectors, a float tensor, Euler's law.
 
-Used as the outside authority of the twin tests; shares no formula with ``piga._kernels.motion.servo``.
+Used as the outside authority of the twin tests; shares no formula with ``piga._kernels.servo``.
 """
 
 from __future__ import annotations

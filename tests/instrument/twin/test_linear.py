@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piga._kernels.motion import servo
+from piga._kernels import servo
 from piga.errors import ArgumentError
 from piga.instrument.twin.linear import (
     ServoParameters,

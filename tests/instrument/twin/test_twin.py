@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piga._kernels.motion import servo
+from piga._kernels import servo
 from piga.errors import ArgumentError, PigaError
 from piga.instrument import Instrument, propagate
 from piga.instrument.twin.linear import (

@@ -47,7 +47,7 @@ from piga._kernels.compensation.terms import (
     uncertainty,
 )
 from piga._kernels.jit import Array, inline, lean
-from piga._kernels.motion.step import advance, magnus_increments, unwrapped
+from piga._kernels.motion import advance, magnus_increments, unwrapped
 
 _FAR_TURN = 0.25
 """Largest half turn in an interval [rad] for the series of the exact inverse."""

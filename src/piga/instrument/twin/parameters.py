@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from piga._kernels.motion.servo import ServoConstants
+from piga._kernels.servo import ServoConstants
 from piga.errors import ArgumentError
 from piga.units import G0, to_si
 

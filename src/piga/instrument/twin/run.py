@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga._kernels.motion import servo
+from piga._kernels import servo
 from piga.errors import ArgumentError, PigaError
-from piga.instrument.constant_input import float_array, require_finite, require_increasing, time_array
+from piga.instrument.motion import float_array, require_finite, require_increasing, time_array
 from piga.instrument.twin.parameters import TwinParameters
 from piga.results import Array, Result
 

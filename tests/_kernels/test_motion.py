@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from piga._kernels.motion.step import (
+from piga._kernels.motion import (
     TWO_PI_HIGH,
     TWO_PI_LOW,
     advance,

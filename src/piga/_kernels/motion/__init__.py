@@ -1,1 +1,0 @@
-"""Kernels of the exact motion and of the servo twin."""
