@@ -160,9 +160,8 @@ def twin() -> None:
     from tests.compensation.twin_triad import spectrum
 
     from piga.earth import Site
-    from piga.instrument.twin.electronics import Electronics
-    from piga.instrument.twin.parameters import PRESETS
-    from piga.instrument.twin.run import run_twin
+    from piga.instrument.electronics import Electronics
+    from piga.instrument.twin import PRESETS, run_twin
     from piga.reports import stand
     from piga.reports.calibration.figures import spectrum_figure
     from piga.stand import DividingHead, Specimen, read_scenario, run_scenario, simulate_test

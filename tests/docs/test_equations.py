@@ -18,8 +18,7 @@ from piga.calibration import missing_terms
 from piga.calibration.intervals import sandwich
 from piga.calibration.model.reduction import triangle
 from piga.instrument.parameters import ErrorModel
-from piga.instrument.twin.linear import servo_terms
-from piga.instrument.twin.parameters import TwinParameters
+from piga.instrument.twin import TwinParameters, servo_terms
 from piga.studies.revolutions import ripple
 from piga.terms import PRODUCTS
 from piga.units import G0
@@ -179,6 +178,6 @@ def test_servo_gain() -> None:
     w, twin = 8.884, TwinParameters(integral_gain=3000.0, rate_gain=0.02)
     nu = (twin.angular_momentum + twin.rate_gain) * w**2 / twin.integral_gain
     literal = (1 - nu) / ((1 - nu) ** 2 + (twin.proportional_gain * w / twin.integral_gain) ** 2)
-    at_rest, turning = servo_terms(twin), servo_terms(twin, rate=w)
-    assert literal == pytest.approx(turning.servo / at_rest.servo, abs=1e-12)
-    assert literal == pytest.approx(turning.servo_damping / at_rest.servo_damping, abs=1e-12)
+    gains = twin.integral_gain, twin.proportional_gain, twin.rate_gain, twin.damping
+    at_rest, turning = (servo_terms(twin.K, twin.pendulosity, *gains, rate=rate) for rate in (0.0, w))
+    assert np.divide(turning, at_rest) == pytest.approx([literal] * 2, abs=1e-12)

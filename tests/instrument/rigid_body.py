@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.twin import PRESETS
 
 RICH = replace(
     PRESETS["example-floated"],

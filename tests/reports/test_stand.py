@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from piga.instrument import Instrument, closed_form
-from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.twin import PRESETS
 from piga.reports.render.figure import Figure
 from piga.reports.render.page import page_html
 from piga.reports.stand import figures as simulation_figures

@@ -6,13 +6,13 @@ import numpy as np
 
 from piga.earth import Site
 from piga.instrument import Instrument
-from piga.instrument.twin.electronics import Electronics
+from piga.instrument.electronics import Electronics
 from piga.stand import (
     DividingHead,
     read_run,
 )
 from piga.stand.write_run import coefficients, run_file_text, write_data
-from tests.instrument.twin.predicted import predicted_rate_error
+from tests.instrument.twin_predicted import predicted_rate_error
 
 SITE = Site(math.radians(40.0), gravity=9.80166)
 HEAD = DividingHead(SITE, (0.0, 1.0, 2.0, 4.0), dwell=20.0, move=5.0)
@@ -64,7 +64,7 @@ def saved(scenario, test, folder):
 def predicted_angle_error(test):
     """Predicted output angle of the twin minus that of the quasi-steady model [rad], at the rows of the log.
 
-    It is the integral of :func:`tests.instrument.twin.predicted.predicted_rate_error` along the test; zero for the
+    It is the integral of :func:`tests.instrument.twin_predicted.predicted_rate_error` along the test; zero for the
     quasi-steady model. The errors of a calibration of the log are the projection of this angle on its regressors.
     """
     if test.model != "twin":

@@ -14,9 +14,8 @@ from piga.calibration.calibrate import calibrate
 from piga.earth import Site
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.twin.electronics import Electronics, Temperature, flicker_noise, markov_noise
-from piga.instrument.twin.linear import UnstableDesignError
-from piga.instrument.twin.parameters import PRESETS
+from piga.instrument.electronics import Electronics, Temperature, flicker_noise, markov_noise
+from piga.instrument.twin import PRESETS, UnstableDesignError
 from piga.stand import (
     Centrifuge,
     Composite,

@@ -28,7 +28,7 @@ ServoConstants = namedtuple(
     "H ml J_o A B C D c k_r beta_r c_x M_c w_c k_p k_i k_d beta_null e_max M_max beta_stop k_stop c_stop M_x M_y "
     "h_w f_w phi_w s_0 t_s",
 )
-"""Numbers the right-hand side needs, SI: the symbols of :class:`piga.instrument.twin.parameters.TwinParameters`."""
+"""Numbers the right-hand side needs, SI: the symbols of :class:`piga.instrument.twin.TwinParameters`."""
 
 
 @kernel

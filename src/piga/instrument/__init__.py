@@ -1,5 +1,6 @@
 """The PIGA: parameters, exact motion, closed form, regimes, the servo-loop twin, its readout."""
 
+from piga.instrument.electronics import Electronics
 from piga.instrument.motion import (
     Regime,
     closed_form,
@@ -13,7 +14,6 @@ from piga.instrument.motion import (
     revolution_period,
 )
 from piga.instrument.parameters import ErrorModel, Instrument
-from piga.instrument.twin.electronics import Electronics
 
 __all__ = [
     "Electronics",

@@ -25,7 +25,7 @@ from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.calibration.summary import RunSummary
 from piga.calibration.weights import RATE, Extra, Noise, counted_rates, reduce_positions, weighting_mode
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError, UnitError
-from piga.instrument.twin.electronics import Electronics
+from piga.instrument.electronics import Electronics
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.run import Run
 from piga.records.run_file import ModelTable, Quantity, Seconds, TomlTable, UncertaintyTable

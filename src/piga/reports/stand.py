@@ -20,16 +20,14 @@ from piga.instrument import (
     regime,
     revolution_period,
 )
-from piga.instrument.twin.linear import analyse_loop, open_loop
-from piga.instrument.twin.parameters import TwinParameters
-from piga.instrument.twin.run import TwinMotion
+from piga.instrument.twin import TwinMotion, TwinParameters, analyse_loop, open_loop
 from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, significant
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile
 from piga.results import Array
 from piga.stand.simulate import SimulatedTest
-from piga.stand.write_run import TrueValue, coefficients, imperfection_values, predictions
+from piga.stand.write_run import TrueValue, coefficients, imperfection_values
 from piga.units import ARCSEC, G0, MICRO_G
 
 _POINTS = 801
@@ -262,12 +260,7 @@ def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
     changes = test.motion.lock_changes() if test.motion is not None else ()
     when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
     lost = Notice("warning", f"Pick-off or torque motor left their range: lock {when}.") if changes else None
-    caption = "What finite servo stiffness does beyond the quasi-steady model (linear prediction)."
-    return Section(
-        "The servo loop",
-        "the-servo",
-        (lost, drawn["servo"], drawn["bode"], _values_table(predictions(test), caption)),
-    )
+    return Section("The servo loop", "the-servo", (lost, drawn["servo"], drawn["bode"]))
 
 
 def _design_section(p: TwinParameters) -> Section:
@@ -281,7 +274,6 @@ def _design_section(p: TwinParameters) -> Section:
         .number("value", lambda entry: number(getattr(p, entry.name)))
         .text("unit", lambda entry: pretty_unit(entry.metadata["unit"]))
         .number("plausible range", lambda entry: " to ".join(map(number, entry.metadata["range"])))
-        .text("source of the default", lambda entry: entry.metadata["source"])
         .table("Parameters of the twin. Example values describe no real instrument.")
     )
     return Section("The design", "the-design", (table,))

@@ -14,8 +14,8 @@ import numpy as np
 from piga.earth import Site
 from piga.errors import ArgumentError, PigaError, RunFileError, UnitError
 from piga.instrument import ErrorModel, Instrument
-from piga.instrument.twin.electronics import Electronics, Temperature
-from piga.instrument.twin.parameters import twin_parameters
+from piga.instrument.electronics import Electronics, Temperature
+from piga.instrument.twin import twin_parameters
 from piga.progress import Progress
 from piga.records.run_file import (
     Columns,

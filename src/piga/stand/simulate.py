@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from piga.errors import ArgumentError
 from piga.instrument import ErrorModel, Instrument, propagate
-from piga.instrument.twin.electronics import (
+from piga.instrument.electronics import (
     Electronics,
     Temperature,
     held_noise,
@@ -24,9 +24,15 @@ from piga.instrument.twin.electronics import (
     sampling_times,
     wandering_bias,
 )
-from piga.instrument.twin.linear import analyse_loop, require_stable, servo_force
-from piga.instrument.twin.parameters import TwinParameters
-from piga.instrument.twin.run import Start, TwinMotion, run_twin
+from piga.instrument.twin import (
+    Start,
+    TwinMotion,
+    TwinParameters,
+    loop_poles,
+    require_stable,
+    run_twin,
+    servo_force,
+)
 from piga.progress import Progress, Steps
 from piga.records.run import Run
 from piga.records.run_file import ModelTable
@@ -339,7 +345,8 @@ class _Felt:
         noise[:, 0] = held_noise(self.streams[2], size, step, p.torque_noise)
         noise[:-1, 1] = -p.angular_momentum * np.diff(self.walk()) / step
         noise[:, 2] = held_noise(self.streams[2], size, step, p.pick_off_noise)
-        start = "transient" if force and not analyse_loop(p).stable else specimen.start
+        unstable = force and np.max(loop_poles(p).real) >= 0.0
+        start = "transient" if unstable else specimen.start
         return run_twin(p, profile.t, felt, straightened(profile.base_rate), noise=noise, start=start)
 
     def log(

@@ -15,12 +15,7 @@ import msgspec
 import numpy as np
 
 from piga._version import __version__
-from piga.instrument.twin.linear import (
-    predicted_k2,
-    predicted_rectification,
-    predicted_second_harmonic,
-    servo_terms,
-)
+from piga.instrument.twin import predicted_k2, servo_terms
 from piga.records.terms import SERVO_TERMS, si_factor, unit_of
 from piga.stand.profile import Imperfections
 from piga.stand.scenario import Scenario
@@ -63,9 +58,9 @@ def coefficients(test: SimulatedTest) -> tuple[TrueValue, ...]:
         values["k0"] += (p.restoring * (p.pick_off_null - p.restoring_zero) - p.inner_torque) / p.pendulosity
         values["k2"] += predicted_k2(p)
         if p.integral_gain > 0.0:
-            terms = servo_terms(p)
-            values["servo"] += terms.servo
-            values["servo_damping"] += terms.servo_damping
+            terms = servo_terms(p.K, p.pendulosity, p.integral_gain, damping=p.damping)
+            for name, value in zip(SERVO_TERMS, terms, strict=True):
+                values[name] += value
     rows = [
         TrueValue(name, value / si_factor(name), unit_of(name, specimen.unit))
         for name, value in values.items()
@@ -114,19 +109,6 @@ def imperfection_values(errors: Imperfections) -> tuple[TrueValue, ...]:
             TrueValue(key, v / parse_unit(unit).factor, unit, note=note) for key, v, note in parts if v or note
         ]
     return tuple(rows)
-
-
-def predictions(test: SimulatedTest) -> tuple[TrueValue, ...]:
-    """Predicted effects of the twin that the quasi-steady model lacks, at 1 g along and 1 g across the input axis."""
-    if test.model != "twin":
-        return ()
-    p = test.specimen.design
-    rate = p.K * G0
-    shift, ripple = predicted_rectification(p, G0, rate) / rate, predicted_second_harmonic(p, G0, rate) / rate
-    return (
-        TrueValue("rectification", shift, "1", note="relative shift of the mean rate, 1 g and 1 g"),
-        TrueValue("second_harmonic", ripple, "g", note="at twice the gimbal angle, 1 g and 1 g"),
-    )
 
 
 _OUTPUT = {"counts": "counts", "angle": "psi_rad", "rate": "rate_rad_s"}
@@ -219,7 +201,6 @@ def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     kinds = {
         "coefficients": coefficients(test),
         "imperfections": imperfection_values(test.imperfections),
-        "predicted": predictions(test),
     }
     document: dict[str, Any] = {
         "schema": "piga.truth/1",

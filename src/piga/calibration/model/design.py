@@ -34,7 +34,7 @@ from piga._kernels.estimation import (
 from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import PHASELESS, phaseless_columns
 from piga.errors import DataError
-from piga.instrument.twin.linear import ServoParameters, servo_terms
+from piga.instrument.twin import servo_terms
 from piga.records.arrays import spans
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
@@ -57,9 +57,8 @@ def given_servo(run: Run) -> dict[str, float]:
         name: given.get(name, 0.0) for name in ("integral_gain", "proportional_gain", "rate_gain", "damping")
     }
     rate = run.scale_factor * math.sqrt(float(run.f[:, 0] @ run.f[:, 0]) / run.size)
-    terms = servo_terms(ServoParameters(run.scale_factor, lever, **plain), rate=rate)
-    damping = {"servo_damping": terms.servo_damping} if "damping" in given else {}
-    return {"servo": terms.servo} | damping
+    servo, damping = servo_terms(run.scale_factor, lever, **plain, rate=rate)
+    return {"servo": servo} | ({"servo_damping": damping} if "damping" in given else {})
 
 
 _CHUNK = 1 << 16

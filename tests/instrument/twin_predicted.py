@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
 from numpy.typing import NDArray
 from scipy import signal
 
-from piga.instrument.twin.linear import loop_poles
-from piga.instrument.twin.parameters import TwinParameters
+from piga.instrument.twin import TwinParameters, loop_poles
 
 Array = NDArray[np.float64]
+
+
+def stiffened(p: TwinParameters, factor: float) -> TwinParameters:
+    """The design with all servo gains multiplied by ``factor``."""
+    gains = ("proportional_gain", "integral_gain", "rate_gain")
+    return replace(p, **{name: factor * getattr(p, name) for name in gains})
+
+
+def tilt_compliance(p: TwinParameters, frequency: float) -> complex:
+    """Closed-loop tilt per outer-axis torque [rad/(N m)] at ``frequency`` [rad/s]."""
+    numerator, denominator = tilt_transfer(p)[0]
+    return complex(np.polyval(numerator, 1j * frequency) / np.polyval(denominator, 1j * frequency))
 
 
 def tilt_transfer(p: TwinParameters) -> list[tuple[Array, Array]]:

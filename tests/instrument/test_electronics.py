@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piga.errors import ArgumentError
-from piga.instrument.twin.electronics import (
+from piga.instrument.electronics import (
     Electronics,
     held_noise,
     interpolate,

@@ -1,1 +1,0 @@
-"""The servo-loop twin: rigid body, electronics and theoretical predictions."""
