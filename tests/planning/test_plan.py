@@ -24,7 +24,7 @@ from piga.planning.candidates import (
     predict,
     read_plan,
 )
-from piga.planning.plan import Plan, plan_document, plan_mounting, plan_test, scenario_text
+from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
 from piga.planning.search import Criterion, best_mixture
 from piga.stand import Scenario, read_scenario, run_scenario
 from tests.chance import assert_variance
@@ -195,39 +195,6 @@ def test_levels_of_a_centrifuge_and_a_head_together(tmp_path):
     assert all(prediction.refusal for prediction in plan.standard)
 
 
-PROFILE = """
-[mounting]
-skew = "0:91:5 deg"
-[mounting.profile]
-kind = "dividing-head"
-latitude = "40 deg"
-positions = [POSITIONS]
-dwell = "5 s"
-move = "5 s"
-"""
-
-
-def mounting_request(folder: Path, positions: str):
-    return request(folder, more=PROFILE.replace("POSITIONS", positions), plan='wanted = { k0 = "2 ug" }')
-
-
-def test_mounting_skew(tmp_path):
-    """A force that swings from 0 to 80 deg: least angle to the axis is largest with the axis at 40 deg."""
-    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "80 deg"'))
-    assert math.degrees(mounting.skew) == pytest.approx(40.0)
-    assert math.degrees(mounting.clock) == pytest.approx(180.0)
-    tangent = math.tan(200.0 / 206264.806)
-    assert mounting.margin == pytest.approx(1.0 / (math.tan(math.radians(40.0)) * tangent), rel=0.01)
-    assert not (mounting.unskewed_history < 1.0).any()
-
-
-def test_mounting_sees_a_passage_between_rows(tmp_path):
-    """The force turns through 180 deg and back: every axis in its plane is passed through."""
-    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "180 deg"'))
-    assert mounting.margins[0].max() == 0.0
-    assert plan_mounting(request(tmp_path)) is None
-
-
 @pytest.mark.long
 def test_prediction_is_what_repeats_show(tmp_path):
     """Spread of the estimates over simulated repeats of the exported scenario."""
@@ -320,7 +287,7 @@ def test_up_and_down_with_the_uncertainty_of_the_closed_form(plan: Plan) -> None
 
 @pytest.mark.long
 def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
-    cheapest, document = plan.cheapest, plan_document(plan, None)
+    cheapest, document = plan.cheapest, plan_document(plan)
     assert cheapest is not None
     assert cheapest.std("k0") <= 2e-6
     assert plan.shortest <= cheapest.duration < plan.best.duration
@@ -359,7 +326,7 @@ def test_the_stand_may_not_be_good_enough(tmp_path: Path) -> None:
     both = math.hypot(plan.best.std("scale_factor"), 0.8884e-6)
     assert plan.best.combined("scale_factor") == pytest.approx(both, rel=1e-3)
     assert plan.best.combined("k9") == plan.best.std("k9") == math.inf
-    assert plan_document(plan, None)["cheapest"]["refusal"] == plan.cheapest.refusal
+    assert plan_document(plan)["cheapest"]["refusal"] == plan.cheapest.refusal
 
 
 @pytest.mark.long

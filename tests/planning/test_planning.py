@@ -1,17 +1,15 @@
-"""Plans that are none are refused with what to do; mountings; order of the visits; the search."""
+"""Plans that are none are refused with what to do; order of the visits; the search."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-import piga
 from piga.calibration.joint import fit_alone
-from piga.errors import ArgumentError, CalibrationError, RunFileError
+from piga.errors import RunFileError
 from piga.planning import candidates
 from piga.planning.candidates import (
     Visit,
@@ -22,14 +20,11 @@ from piga.planning.candidates import (
     read_plan,
     request_of,
 )
-from piga.planning.plan import plan_mounting
 from piga.planning.search import in_order
 from piga.progress import SILENT
 from piga.records.calibration.coefficient import changes
 from piga.stand import Composite, simulate_test
-from tests.calibration.made.synthetic import SCALE
 from tests.planning.cases import request
-from tests.planning.test_plan import mounting_request
 
 
 @pytest.mark.interpreted
@@ -46,6 +41,7 @@ from tests.planning.test_plan import mounting_request
         ("[plan]", '[plan]\nmove = "3 g"', "move"),
         ("[plan]", '[plan]\nwanted = { k3 = "1 ug/g^3" }', "wanted: 'k3' is not estimated"),
         ("[plan]", '[plan]\ncriterion = "c"', "criterion 'c' needs combination"),
+        ("[plan]", '[mounting]\nskew = "0:91:1 deg"\n[plan]', r"\[mounting\] is gone"),
         ("[plan]", '[plan]\ndwell = "3 s"', "unknown key 'dwell'"),
         ("[plan]", '[plan]\nlongest_dwell = "3 s"', "longest_dwell is below minimum_dwell"),
         ('"k2"', '"k0_t"', "'k0_t' depends on when"),
@@ -64,25 +60,6 @@ def test_plans_that_are_none(tmp_path: Path, old: str, new: str, words: str) -> 
         read_plan(path)
     assert "plan.toml" in str(caught.value)
     assert caught.value.remedy
-
-
-def test_a_mounting_that_cannot_be_planned(tmp_path: Path) -> None:
-    wish = mounting_request(tmp_path, '"0 deg", "80 deg"')
-    table = wish.table.mounting
-    assert table is not None
-
-    def planned(**changes: object) -> None:
-        changed = msgspec.structs.replace(table, **changes)
-        plan_mounting(replace(wish, table=msgspec.structs.replace(wish.table, mounting=changed)))
-
-    with pytest.raises(ArgumentError, match=r"\[mounting\] step: must be positive"):
-        planned(step="0 s")
-    with pytest.raises(ArgumentError, match=r"\[mounting\] skew: '0:90 deg' is not a range(?s:.*)0:91:1 deg"):
-        planned(skew="0:90 deg")
-    scenario = wish.scenario
-    straight = replace(scenario.specimen, instrument=piga.Instrument(scale_factor=SCALE, beta=0.0))
-    with pytest.raises(CalibrationError, match=r"without it there is no lock zone"):
-        plan_mounting(replace(wish, scenario=replace(scenario, specimen=straight)))
 
 
 @pytest.mark.parametrize("count", [4, 5, 6, 8, 12, 24])

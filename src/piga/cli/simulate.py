@@ -48,12 +48,11 @@ def plan(
     with deliver(folder, "plan", names, [plan_file]) as to:
         request = piga.read_plan(plan_file)
         with progress("planning") as show:
-            mounting = piga.planning.plan_mounting(request)
             planned = piga.plan_test(request, progress=show)
         write_text(to / "scenario.toml", piga.planning.scenario_text(planned))
         write_text(to / "program.csv", program_csv(planned))
-        whole = page(planned, mounting)
-        to.show(piga.planning.plan_document(planned, mounting), whole, whole, *names[2:])
+        whole = page(planned)
+        to.show(piga.planning.plan_document(planned), whole, whole, *names[2:])
 
 
 def simulate(

@@ -3,11 +3,6 @@
 A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The search finds pairs of
 visits (:mod:`piga.planning.search`). The least value of any mixture of visits per second of test is a lower bound for every test.
 The estimator predicts the reported uncertainties from the noiseless record of the test.
-
-The mounting question: which skew keeps the instrument out of the lock zone over a profile. With ``u = K f - Omega``
-the instrument runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. A skew ``sigma`` towards the direction at ``clock`` about the
-platform's X axis makes ``u_x = u . (cos sigma, sin sigma cos clock, sin sigma sin clock)``; the margin of a mounting is the least
-``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1 (own formulation).
 """
 
 from __future__ import annotations
@@ -20,10 +15,9 @@ from types import ModuleType
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from piga._version import __version__
-from piga.errors import ArgumentError, CalibrationError
+from piga.errors import CalibrationError
 from piga.planning.candidates import (
     Candidate,
     PlanRequest,
@@ -37,9 +31,7 @@ from piga.planning.candidates import (
 from piga.planning.search import Search, in_order
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
-from piga.results import Array, Plotted, Reported, Result, finite
-from piga.stand.machines import angles_of_range
-from piga.stand.profile import NONE
+from piga.results import Plotted, Reported, Result, finite
 from piga.stand.scenario import DividingHeadTable
 from piga.text_files import toml_text
 from piga.threads import one_thread
@@ -145,99 +137,6 @@ def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Pred
     return tuple(plans)
 
 
-# -- mounting ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Mounting(Result):
-    """Margins ``|u_x|/(u_t tan(beta))`` of all mountings, (skews, directions). ``limit`` is the wanted one.
-
-    ``skew`` and ``clock`` [rad] are those of the largest margin; ``clock`` is the direction about X, from Y towards Z.
-    ``margin_history`` (n,) are its margins at times ``t`` [s], ``unskewed_history`` those of the instrument without skew.
-    """
-
-    skews: Array
-    margins: Array
-    limit: float
-    skew: float
-    clock: float
-    t: Array
-    margin_history: Array
-    unskewed_history: Array
-
-    @property
-    def margin(self) -> float:
-        """Largest margin."""
-        return float(self.margins.max())
-
-    @property
-    def acceptable(self) -> Array:
-        """Skews [rad] that reach the wanted margin at their best direction."""
-        return self.skews[self.margins.max(axis=1) >= self.limit]
-
-
-@one_thread()
-def plan_mounting(request: PlanRequest) -> Mounting | None:
-    """Best skew for the profile of ``[mounting]``; None when the plan has none.
-
-    Raises
-    ------
-    CalibrationError
-        If tan_beta is zero: there is no lock zone.
-    ArgumentError
-        If a range of angles is empty.
-    """
-    table = request.table.mounting
-    if table is None:
-        return None
-    instrument = request.scenario.specimen.instrument
-    tangent = abs(instrument.tan_beta)
-    if tangent == 0.0:
-        raise CalibrationError(
-            "[mounting] needs [truth] beta: without it there is no lock zone",
-            remedy="add the expected size, e.g. beta = '20 arcsec'",
-        )
-    stand = table.profile.build(request.path.parent)
-    segments = stand.segments()
-    step = table.in_si("[mounting] ")["step"]
-    if not step > 0.0:
-        raise ArgumentError("[mounting] step: must be positive", remedy="e.g. '0.1 s'")
-    t = np.arange(segments[0].start, segments[-1].stop + 0.5 * step, step)
-    force, rate = stand.motion(np.minimum(t, segments[-1].stop), NONE)
-    u = instrument.scale_factor * force - rate
-    skews, clocks = (
-        np.array(angles_of_range(getattr(table, name), f"[mounting] {name}", "0:91:1 deg"))
-        for name in ("skew", "clock")
-    )
-    margins = np.array([_ratios(u, skew, clocks, tangent).min(axis=0) for skew in skews.tolist()])
-    at, towards = np.unravel_index(np.argmax(margins), margins.shape)
-    skew, clock = float(skews[at]), clocks[towards : towards + 1]
-    return Mounting(
-        skews=skews,
-        margins=margins,
-        limit=table.margin,
-        skew=skew,
-        clock=float(clock[0]),
-        t=t,
-        margin_history=_ratios(u, skew, clock, tangent)[:, 0],
-        unskewed_history=_ratios(u, 0.0, clock, tangent)[:, 0],
-    )
-
-
-def _ratios(u: Array, skew: float, clocks: Array, tangent: float) -> Array:
-    """``|u_x|/(u_t tan(beta))`` per row and direction of the skew; infinite without transverse input.
-
-    0 if ``u_x`` changed its sign since the previous row: the profile crossed the lock zone.
-    """
-    across_x = math.sin(skew) * np.array([np.cos(clocks), np.sin(clocks)])
-    signed = u @ np.vstack([np.full(clocks.size, math.cos(skew)), across_x])
-    along = np.abs(signed)
-    across = np.sqrt(np.maximum(np.sum(u * u, axis=1)[:, None] - along**2, 0.0)) * tangent
-    ratios = np.divide(along, across, out=np.full(along.shape, np.inf), where=across > 0.0)
-    ratios[1:][signed[1:] * signed[:-1] < 0.0] = 0.0
-    return ratios
-
-
 # -- documents --------------------------------------------------------------------------------------------------
 
 _TABLES = (
@@ -278,7 +177,7 @@ def program_csv(plan: Plan) -> str:
     return text.getvalue()
 
 
-def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
+def plan_document(plan: Plan) -> dict[str, Any]:
     """The plan as one JSON document (schema ``piga.plan/1``); standard uncertainties in file units."""
     best = plan.best
     document: dict[str, Any] = {
@@ -305,14 +204,6 @@ def plan_document(plan: Plan, mounting: Mounting | None) -> dict[str, Any]:
             "wanted": plan.request.wanted,
             "bound_s": finite(plan.shortest),
             **(refused if plan.cheapest.refusal else told),
-        }
-    if mounting is not None:
-        document["mounting"] = {
-            "skew_deg": math.degrees(mounting.skew),
-            "clock_deg": math.degrees(mounting.clock),
-            "margin": finite(mounting.margin),
-            "margin_wanted": mounting.limit,
-            "acceptable_skews_deg": [round(math.degrees(float(s)), 9) for s in mounting.acceptable],
         }
     return document
 

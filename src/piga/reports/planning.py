@@ -10,9 +10,9 @@ import numpy as np
 
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
-from piga.planning.plan import Mounting, Plan
+from piga.planning.plan import Plan
 from piga.records.terms import shown_unit, term_words, unit_of
-from piga.reports.render.figure import Axis, Figure, Plot, Role
+from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
 from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone, named_values
 from piga.results import Array
@@ -53,26 +53,6 @@ def _dwell_figure(plan: Plan) -> Figure:
     )
 
 
-def _mounting_figure(mounting: Mounting) -> Figure:
-    degrees = np.degrees(mounting.skews)
-    plot = Plot("plan-mounting", "Skew of the instrument on the platform")
-    plot.panel("skew of the instrument [deg]", "log least |a_x| over a_t tan(beta)", "Margin against skew")
-    plot.line(degrees, np.clip(mounting.margins.max(axis=1), 1e-2, SHOWN), "best direction", "after")
-    plot.line(degrees, np.clip(mounting.margins.min(axis=1), 1e-2, SHOWN), "worst direction", "before")
-    plot.level(degrees, mounting.limit, "wanted margin", "warning")
-    plot.panel("time [s]", "log |a_x| over a_t tan(beta)", "Along the profile")
-    names: tuple[tuple[str, Array, Role], ...] = (
-        ("not skewed", mounting.unskewed_history, "before"),
-        (f"skew {math.degrees(mounting.skew):.3g} deg", mounting.margin_history, "after"),
-    )
-    for name, history, role in names:
-        plot.line(mounting.t, np.clip(history, 1e-2, SHOWN), name, role)
-    plot.level(mounting.t, mounting.limit, "wanted margin", "warning")
-    return plot.caption(
-        "The instrument measures where the margin is above 1. Values beyond 0.01 and 10 000 are drawn there."
-    )
-
-
 _CRITERIA = {
     "D": "the volume of the uncertainty ellipsoid",
     "A": "the mean variance of the coefficients, each over its wanted or equal-time variance",
@@ -81,8 +61,8 @@ _CRITERIA = {
 }
 
 
-def page(plan: Plan, mounting: Mounting | None = None) -> Page:
-    """The page of a planned test; ``mounting`` adds how to mount the instrument."""
+def page(plan: Plan) -> Page:
+    """The page of a planned test."""
     lead = f"Least is {_CRITERIA[plan.request.table.plan.criterion]}."
     shown = [
         Section("The test", "the-test", (lead, partial(_dwell_figure, plan), _visit_table(plan))),
@@ -95,9 +75,6 @@ def page(plan: Plan, mounting: Mounting | None = None) -> Page:
             rows = ((one.label, reason) for one, reason in plan.excluded)
             left_out = named_values("candidate", "reason", rows, "Candidates left out.")
         shown.append(Section("Lock zone", "lock-zone", (left_out,)))
-    if mounting is not None:
-        blocks = (_mounting_notice(mounting), partial(_mounting_figure, mounting))
-        shown.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
         subtitle=f"{len(plan.best.visits)} visits in {short(plan.best.duration)} s, moves of {short(plan.request.move)} s.",
@@ -188,16 +165,6 @@ def _cheapest(plan: Plan, cheapest: Prediction) -> Notice:
     )
 
 
-def _mounting_notice(mounting: Mounting) -> Notice:
-    kept = list(mounting.acceptable)
-    enough = f"{len(kept)} of {mounting.skews.size} skews keep" if kept else "no skew keeps"
-    text = (
-        f"best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "
-        f"least |a_x| is {short(mounting.margin)} of a_t tan(beta); {enough} it at the wanted {mounting.limit:g} or more."
-    )
-    return Notice("good" if mounting.margin >= mounting.limit else "problem", text)
-
-
-def brief(plan: Plan, mounting: Mounting | None = None) -> Page:
+def brief(plan: Plan) -> Page:
     """The plan for terminal and notebook."""
-    return page(plan, mounting)
+    return page(plan)
