@@ -33,11 +33,11 @@ from piga._kernels.arithmetic import (
 )
 from piga._kernels.jit import Array, exact, inline, kernel, lean
 
-SMALL_STEP = 1.0
+_SMALL_STEP = 1.0
 """Largest ``A^2 + Y^2 + Z^2`` [rad^2] for which the series of :func:`step_matrix` and the count of turns are valid."""
 GOOD = -1
 """Result of the kernels for whole records if all samples are usable; otherwise they return the start of a bad step."""
-TOO_LARGE = 1e150
+_TOO_LARGE = 1e150
 
 _C1, _C2, _C3, _C4, _C5, _C6, _C7 = (1.0 / math.factorial(2 * k) for k in range(1, 8))
 _S0, _S1, _S2, _S3, _S4, _S5, _S6, _S7 = (0.5 / math.factorial(2 * k + 1) for k in range(8))
@@ -57,7 +57,7 @@ def step_matrix(A: float, Y: float, Z: float) -> tuple[float, float, float, floa
 
 
 @inline
-def unit_pair(p: float, q: float) -> tuple[float, float]:
+def _unit_pair(p: float, q: float) -> tuple[float, float]:
     """The pair at unit length with ``Q >= 0``."""
     scale = math.copysign(1.0 / math.sqrt(p * p + q * q), q)
     return p * scale, q * scale
@@ -325,18 +325,18 @@ def _carry_pair(
     for j in range(count):
         b.turns[j], b.p[j], b.q[j] = turns, p, q
         A, Y, Z = b.A[j], b.Y[j], b.Z[j]
-        if A * A + Y * Y + Z * Z <= SMALL_STEP and h[j] > 0.0:
+        if A * A + Y * Y + Z * Z <= _SMALL_STEP and h[j] > 0.0:
             p, q = (p + b.pp[j] * p) + b.pq[j] * q, (q + b.qq[j] * q) + b.qp[j] * p
             if q < 0.0:  # a turn is completed: upwards if P has the sign that Q had
                 turns += 1.0 if p > 0.0 else -1.0
                 p, q = -p, -q
         else:
-            if not (h[j] > 0.0 and abs(A) + abs(Y) + abs(Z) < TOO_LARGE):
+            if not (h[j] > 0.0 and abs(A) + abs(Y) + abs(Z) < _TOO_LARGE):
                 return j, turns, p, q
-            p, q = unit_pair(p, q)
+            p, q = _unit_pair(p, q)
             turns, _, p, q = advance(turns, double_arctangent(p, q), p, q, A, Y, Z)
     b.turns[count], b.p[count], b.q[count] = turns, p, q
-    p, q = unit_pair(p, q)
+    p, q = _unit_pair(p, q)
     return count, turns, p, q
 
 

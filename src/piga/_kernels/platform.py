@@ -37,43 +37,31 @@ def follow(
         out[i] = value
 
 
-@inline
-def drift_triad(
-    c_ig: Array, rates: Array, eta: float, s1: float, c1: float, s2: float, c2: float, h: float
-) -> float:
-    """Turn ``C_i^G`` (3, 3) in place by the gyros' drift over ``h``; returns the new eta [He2014].
-
-    ``rates`` (8,): w1x, w1y, w2y, w2z that stay in G axes, then the same four in case axes.
-    ``w_Gx = w1x, w_Gy = w1y, w_Gz = w2z sec(eta) - w1x tan(eta), eta' = w2y - w1y``.
-    """
-    wx = rates[0] + c1 * rates[4] - s1 * rates[5]
-    wy = rates[1] + s1 * rates[4] + c1 * rates[5]
-    w2y = rates[2] + c2 * rates[6] - s2 * rates[7]
-    w2z = rates[3] + s2 * rates[6] + c2 * rates[7]
-    middle = eta + 0.5 * (w2y - wy) * h
-    wz = (w2z - wx * math.sin(middle)) / math.cos(middle)
-    x, y, z = wx * h, wy * h, wz * h
-    for j in range(3):
-        a, b, c = c_ig[0, j], c_ig[1, j], c_ig[2, j]
-        # C <- (I - [x] + [x]^2 / 2) C
-        da, db, dc = z * b - y * c, x * c - z * a, y * a - x * b
-        c_ig[0, j] = a + da + 0.5 * (z * db - y * dc)
-        c_ig[1, j] = b + db + 0.5 * (x * dc - z * da)
-        c_ig[2, j] = c + dc + 0.5 * (y * da - x * db)
-    return eta + (w2y - wy) * h
-
-
 @kernel
 def drift_series(first: Array, second: Array, rates: Array, h: float, triad: Array, eta: Array) -> None:
     """Drift of the triad over equal steps ``h``: ``C_i^G`` (n, 3, 3) and the redundancy angle (n,), from their first rows.
 
-    ``first, second`` (n, 2) sine and cosine of the case angles; ``rates`` (8,) see :func:`drift_triad`.
+    ``first, second`` (n, 2) sine and cosine of the case angles; ``rates`` (8,): w1x, w1y, w2y, w2z that stay in G axes, then the
+    same four in case axes. ``w_Gx = w1x, w_Gy = w1y, w_Gz = w2z sec(eta) - w1x tan(eta), eta' = w2y - w1y`` [He2014].
     """
     for i in range(1, eta.shape[0]):
-        triad[i] = triad[i - 1]
         s1, c1 = 0.5 * (first[i - 1, 0] + first[i, 0]), 0.5 * (first[i - 1, 1] + first[i, 1])
         s2, c2 = 0.5 * (second[i - 1, 0] + second[i, 0]), 0.5 * (second[i - 1, 1] + second[i, 1])
-        eta[i] = drift_triad(triad[i], rates, eta[i - 1], s1, c1, s2, c2, h)
+        wx = rates[0] + c1 * rates[4] - s1 * rates[5]
+        wy = rates[1] + s1 * rates[4] + c1 * rates[5]
+        w2y = rates[2] + c2 * rates[6] - s2 * rates[7]
+        w2z = rates[3] + s2 * rates[6] + c2 * rates[7]
+        middle = eta[i - 1] + 0.5 * (w2y - wy) * h
+        wz = (w2z - wx * math.sin(middle)) / math.cos(middle)
+        x, y, z = wx * h, wy * h, wz * h
+        for j in range(3):
+            a, b, c = triad[i - 1, 0, j], triad[i - 1, 1, j], triad[i - 1, 2, j]
+            # C <- (I - [x] + [x]^2 / 2) C
+            da, db, dc = z * b - y * c, x * c - z * a, y * a - x * b
+            triad[i, 0, j] = a + da + 0.5 * (z * db - y * dc)
+            triad[i, 1, j] = b + db + 0.5 * (x * dc - z * da)
+            triad[i, 2, j] = c + dc + 0.5 * (y * da - x * db)
+        eta[i] = eta[i - 1] + (w2y - wy) * h
 
 
 class Triad(NamedTuple):

@@ -75,16 +75,16 @@ class Electronics:
                 f"electronics counter_bits: {self.counter_bits} is outside 1 to 62",
                 remedy="leave it out if the counter never wraps",
             )
-        walks, levels = ("angle_random_walk", "bias_random_walk"), ("bias_flicker", "bias_markov")
-        for name in ("angle_noise", *walks, *levels, "clock_jitter"):
+        places = {
+            name: f"electronics {name}" for name in ("angle_noise", "angle_random_walk", "bias_random_walk")
+        }
+        places |= {f"bias_{key}": f"[noise] {key}" for key in ("flicker", "markov", "markov_time")}
+        for name, place in {**places, "clock_jitter": "electronics clock_jitter"}.items():
             if getattr(self, name) < 0.0:
-                raise ArgumentError(
-                    f"electronics {name}: {getattr(self, name):g} is negative", remedy="use zero or more"
-                )
-        if self.bias_markov > 0.0 and not self.bias_markov_time > 0.0:
+                raise ArgumentError(f"{place}: {getattr(self, name):g} is negative", remedy="use zero or more")
+        if self.bias_markov > 0.0 and self.bias_markov_time == 0.0:
             raise ArgumentError(
-                "noise markov: its correlation time is missing or not positive",
-                remedy='set [noise] markov_time, e.g. "5 s"',
+                "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
             )
 
     @property

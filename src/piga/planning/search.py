@@ -138,7 +138,7 @@ def best_mixture(candidates: Array, criterion: Criterion) -> tuple[Array, float,
     return shares, bound, largest
 
 
-def whole_pairs(
+def _whole_pairs(
     matrices: Array, criterion: Criterion, shares: Array, count: int
 ) -> tuple[float, NDArray[np.int64]]:
     """Criterion and places (count,) of the best pairs found from the ``shares`` (n,) of a mixture on.
@@ -249,7 +249,7 @@ class Search:
         for count in sorted({math.floor(x + 1e-9) for x in np.geomspace(max(ends[0], 1.0), ends[1], _NUMBERS)}):
             dwells = self._cut(min(0.5 * (duration + request.move) / count - request.move, self.dwells[-1]))
             pairs = 2.0 * self._information(dwells)
-            value, places = whole_pairs(pairs, guarded, self.mixture[0], count)
+            value, places = _whole_pairs(pairs, guarded, self.mixture[0], count)
             found.append((value, [(int(k), float(dwells[k])) for k in np.repeat(np.sort(places), 2)]))
         for _, visits in sorted(found):
             held = tuple(Visit(self.usable[k], request.whole_samples(dwell)) for k, dwell in visits)

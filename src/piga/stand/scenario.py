@@ -425,28 +425,19 @@ def _specimen(table: ScenarioTable) -> Specimen:
 
 
 def _electronics(table: ScenarioTable) -> Electronics:
-    kind, unit, coloured = table.electronics.output, output_unit(table), table.noise.in_si("[noise] ")
-    for key, value in coloured.items():
-        if value < 0.0:
-            raise ArgumentError(
-                f"[noise] {key}: {getattr(table.noise, key)} is negative",
-                remedy="give a standard deviation or a time, zero or more",
-            )
-    if coloured["markov"] > 0.0 and coloured["markov_time"] == 0.0:
-        raise ArgumentError(
-            "[noise] markov: its correlation time is missing", remedy='set [noise] markov_time, e.g. "5 s"'
-        )
+    kind, unit = table.electronics.output, output_unit(table)
     noise = {
         name: level_in(
             getattr(table.electronics, name), f"{integral_unit(unit)}{like}", f"[electronics] {name}"
         )
         for name, like in (("angle_noise", ""), ("angle_random_walk", "/sqrt(s)"))
     }
+    coloured = {f"bias_{name}": value for name, value in table.noise.in_si("[noise] ").items()}
     return Electronics(
         kind=kind,
         counts_per_revolution=table.instrument.counts_per_revolution if unit == GYRO else 2.0 * math.pi,
         counter_bits=table.instrument.counter_bits if kind == "counts" else None,
-        **{f"bias_{name}": value for name, value in coloured.items()},
+        **coloured,
         **noise,
         **table.electronics.in_si("[electronics] "),
     )

@@ -121,7 +121,7 @@ def _output_name(test: SimulatedTest) -> str:
     return "output" if test.specimen.direct and kind == "rate" else _OUTPUT[kind]
 
 
-def log_table(test: SimulatedTest) -> pa.Table:
+def _log_table(test: SimulatedTest) -> pa.Table:
     """The log as a table: ``t_s``, ``segment``, output, ``fx_g ...``, ``wx_rad_s ...``, ``T_degC``."""
     import pyarrow as pa
 
@@ -143,7 +143,7 @@ def write_data(test: SimulatedTest, path: Path) -> None:
     """Write the log as Parquet or CSV, by the ending of ``path``."""
     from pyarrow import csv, parquet
 
-    table = log_table(test)
+    table = _log_table(test)
     if path.suffix == ".csv":
         csv.write_csv(table, path, csv.WriteOptions(quoting_style="needed"))
     else:
