@@ -90,7 +90,7 @@ def _array(column: Column, empty_cells: bool) -> pa.Array:
     if column.labels is not None:
         return label_column(column.values.astype(np.int32), column.labels)
     if column.values.dtype.kind in "OU":
-        return text_column([str(value) for value in column.values])
+        return _text_column([str(value) for value in column.values])
     return number_column(column.values, empty_cells)
 
 
@@ -105,7 +105,7 @@ def number_column(values: NDArray, empty_cells: bool = False) -> Any:
     )
 
 
-def text_column(values: Sequence[str]) -> Any:
+def _text_column(values: Sequence[str]) -> Any:
     """Arrow array of texts."""
     import pyarrow as pa
 
@@ -118,4 +118,4 @@ def label_column(codes: NDArray, labels: Sequence[str]) -> Any:
     """Arrow array of texts, given by indices (n,) into ``labels``."""
     import pyarrow as pa
 
-    return pa.DictionaryArray.from_arrays(number_column(codes), text_column(labels))
+    return pa.DictionaryArray.from_arrays(number_column(codes), _text_column(labels))

@@ -276,6 +276,7 @@ def test_a_shell_completes_commands() -> None:
         (["ui", "--host=0.0.0.0"], "ssh -L"),
         (["platform", "simulate", "s.toml", "--every", "2"], "take every N-th row"),
         (["records", "backup", "--store", "s"], "records export"),
+        (["compensate", "-", "--arrow"], "send lines"),
     ],
 )
 def test_what_is_gone_has_its_remedy(words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]) -> None:

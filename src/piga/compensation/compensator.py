@@ -54,7 +54,7 @@ def find_begins(state: Any, t: Array) -> NDArray[np.bool_]:
     return begins_stretch(steps, float(state["nominal"][0]))
 
 
-def empty_rows(n: int, uncertainty: bool) -> Rows:
+def _empty_rows(n: int, uncertainty: bool) -> Rows:
     """Arrays for ``n`` rows; that of an uncertainty that is not wanted is empty."""
     return Rows(empty(n), empty(n), empty(n if uncertainty else 0), empty(n, np.int32), np.zeros(SUMS))
 
@@ -177,7 +177,7 @@ class Compensator:
         self.model.check_logged(columns)
         if "begins" not in columns:
             columns["begins"] = find_begins(self._state, columns["t"])
-        rows = empty_rows(columns["t"].size, self._uncertainty)
+        rows = _empty_rows(columns["t"].size, self._uncertainty)
         self.push_into(columns, rows)
         return Compensated(columns["t"], *rows[:4], self.serial, self.method, self.notes)
 
@@ -300,7 +300,7 @@ def compensate(
         limits=limits, max_age_days=max_age_days,
     )  # fmt: skip
     stream.model.check_logged(_columns_of(record, slice(0)))
-    rows = empty_rows(record.size, uncertainty)
+    rows = _empty_rows(record.size, uncertainty)
     report(progress, 0, record.size, "compensating")
     for start, stop in pairwise(record.segment_edges().tolist()):
         stream.take_segment(record.labels[int(record.segment_index[start])])

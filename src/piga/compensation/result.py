@@ -53,7 +53,7 @@ def format_of(path: Path) -> str:
     return file_format
 
 
-def rows_table(
+def _rows_table(
     columns: Mapping[str, Column], notes: tuple[str, ...] = (), inputs: Inputs = (), *, text: bool = False
 ) -> Any:
     """Columns of compensated rows as an Arrow table: a unit per column, the meaning of the flag bits, notes and inputs.
@@ -118,8 +118,8 @@ def write_rows(
     try:
         for start in range(0, max(result.size, 1), GROUP_ROWS):
             part = result.rows(slice(start, min(start + GROUP_ROWS, result.size)))
-            columns = with_units(part.columns() if resampler is None else resampler.push_rows(part))
-            table = rows_table(columns, result.notes, inputs, text=text)
+            columns = _with_units(part.columns() if resampler is None else resampler.push_rows(part))
+            table = _rows_table(columns, result.notes, inputs, text=text)
             writer = writer or _opened(path, text, table.schema)
             writer.write_table(table)
             rows += table.num_rows
@@ -135,7 +135,7 @@ def write_rows(
     return rows, {name: count for name, count in flagged.items() if count}
 
 
-def with_units(columns: Mapping[str, NDArray]) -> dict[str, Column]:
+def _with_units(columns: Mapping[str, NDArray]) -> dict[str, Column]:
     """Columns of compensated rows with their units: forces in m/s^2, increments (``dv...``) in m/s."""
     units = {"t": "s", "flags": "1"}
     return {
@@ -172,7 +172,7 @@ class _Rows(Result, Plotted, Tabular):
 
     def table_columns(self) -> dict[str, Column]:
         """The columns of the written file with their units."""
-        return with_units(self.columns())
+        return _with_units(self.columns())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -317,7 +317,7 @@ def compensate_set(
             columns[name] = logged
     whole = stream.empty_rows(first.t)
     report(progress, 0, first.size, "compensating")
-    step = max(READINGS // len(records), 1)
+    step = max(_READINGS // len(records), 1)
     for start in range(0, first.size, step):
         part = slice(start, min(start + step, first.size))
         chunk = {name: np.array([one[part] for one in each]) for name, each in columns.items()}
@@ -413,7 +413,7 @@ def read_triad(path: str | Path) -> tuple[list[Path], list[Mounted], list[tuple[
     return [path.parent / item.run for item in items], mounted, inputs
 
 
-READINGS = 1 << 15
+_READINGS = 1 << 15
 """Number of instruments times rows processed at once."""
 
 

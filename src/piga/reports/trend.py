@@ -24,7 +24,7 @@ from piga.units import DAY
 _GRID = 80
 
 
-def axis_of(trend: CoefficientTrend) -> tuple[float, float, Axis]:
+def _axis_of(trend: CoefficientTrend) -> tuple[float, float, Axis]:
     """How values are drawn, ``(value - origin) * factor``: a round origin near them, and micro-units (ppm of the scale factor)."""
     values = np.array([point.value for point in trend.points])
     spread = max(float(np.ptp(values)), *(point.own for point in trend.points)) or abs(float(values[0])) or 1.0
@@ -38,7 +38,7 @@ def axis_of(trend: CoefficientTrend) -> tuple[float, float, Axis]:
     return origin, 1e6, Axis(quantity if origin else trend.key, unit)
 
 
-DATE = Axis("date", "", dates=True)
+_DATE = Axis("date", "", dates=True)
 """The time axis: calendar dates, UTC."""
 
 
@@ -46,7 +46,7 @@ def _dates(start: dt.datetime, years: np.ndarray | float) -> np.ndarray:
     return start.timestamp() / DAY + np.asarray(years, dtype=float) * YEAR / DAY
 
 
-def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = None) -> Figure:
+def _trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = None) -> Figure:
     """Values and control chart of one coefficient; ``ahead`` is the time of the forecast in years since the start."""
     plot = Plot(f"trend-{trend.key.replace('_', '-')}", f"{trend.key} over time.", height=2.7)
     _add_values(plot, trend, drifts.start, ahead)
@@ -61,13 +61,13 @@ def trend_figure(drifts: Trend, trend: CoefficientTrend, ahead: float | None = N
 
 
 def _add_values(plot: Plot, trend: CoefficientTrend, start: dt.datetime, ahead: float | None) -> None:
-    origin, factor, axis = axis_of(trend)
+    origin, factor, axis = _axis_of(trend)
 
     def interval(forecasts: list[Forecast]) -> tuple[np.ndarray, np.ndarray]:
         values = np.array([[one.value - origin, one.half_width()] for one in forecasts])
         return values[:, 0] * factor, values[:, 1] * factor
 
-    plot.panel(DATE, axis, trend.key)
+    plot.panel(_DATE, axis, trend.key)
     if trend.line is not None:
         grid = np.linspace(trend.points[0].time, max(float(trend.points[-1].time), ahead or 0.0), _GRID)
         middle, half = interval([trend.next_record(float(time)) for time in grid])
@@ -94,7 +94,7 @@ def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> Non
     seen = np.isfinite(trend.scores)
     x = _dates(start, trend.days.time[seen])
     ends = x[[0, -1]] if x.size > 1 else x[[0, 0]] + np.array([-0.5, 0.5])
-    plot.panel(DATE, "deviation from the forecast [std]", "Control chart")
+    plot.panel(_DATE, "deviation from the forecast [std]", "Control chart")
     plot.points(x, trend.scores[seen], "score of a day").line(x, trend.average[seen], "moving average", "model")
     for sign, name, score in ((1.0, "limit of the average", "limit of a score"), (-1.0, "", "")):
         plot.dashed(x, sign * trend.limit[seen], name, "model")
@@ -104,7 +104,7 @@ def _add_control(plot: Plot, trend: CoefficientTrend, start: dt.datetime) -> Non
 def figures(drifts: Trend) -> dict[str, Callable[[], Figure]]:
     """The figure of each coefficient by its key; the first one also by no key."""
     by_key: dict[str, Callable[[], Figure]] = {
-        trend.key: partial(trend_figure, drifts, trend) for trend in drifts.coefficients
+        trend.key: partial(_trend_figure, drifts, trend) for trend in drifts.coefficients
     }
     return by_key | {"": next(iter(by_key.values()))}
 
@@ -253,7 +253,7 @@ def page(drifts: Trend, at: dt.datetime | None = None) -> Page:
 def brief(drifts: Trend, at: dt.datetime | None = None) -> Page:
     """Alarms, remarks, stability and drift for terminal and notebook, and the figure of the first coefficient."""
     short = page(drifts, at).only("judgement", "stability")
-    drawn = tuple(partial(trend_figure, drifts, trend) for trend in drifts.coefficients[:1])
+    drawn = tuple(partial(_trend_figure, drifts, trend) for trend in drifts.coefficients[:1])
     return replace(short, sections=(*short.sections, Section("", "first", drawn)))
 
 
@@ -328,7 +328,7 @@ def _section(drifts: Trend, trend: CoefficientTrend, ahead: float | None) -> Sec
     )
     caption = "Records, each with the forecast from earlier records. A forecast needs three earlier days."
     lead = f"{term_words(trend.key).meaning[:1].upper()}{term_words(trend.key).meaning[1:]}."
-    content = (lead, partial(trend_figure, drifts, trend, ahead), table.table(caption))
+    content = (lead, partial(_trend_figure, drifts, trend, ahead), table.table(caption))
     return Section(trend.key, f"coefficient-{trend.key.replace('_', '-')}", content)
 
 

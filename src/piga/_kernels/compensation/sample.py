@@ -128,7 +128,7 @@ def change_over(u: float, before: tuple[float, float, float], gap: Spacing, past
 
 
 @inline
-def solve_small(delta: float, square: float, coupling: float) -> tuple[float, float]:
+def _solve_small(delta: float, square: float, coupling: float) -> tuple[float, float]:
     """``e = A - 2 delta`` for small turns and ``sin(delta)/delta``, minus its derivative by the coupling.
 
     Series of ``q cot q`` about ``delta^2``; ``cos(delta) - 2 delta sin(delta) c'(delta^2) = delta/sin(delta)``.
@@ -147,7 +147,7 @@ def solve_small(delta: float, square: float, coupling: float) -> tuple[float, fl
 
 
 @lean
-def solve_far(delta: float, square: float, coupling: float) -> float:
+def _solve_far(delta: float, square: float, coupling: float) -> float:
     """``e = A - 2 delta`` for any turn and any regime: Newton's method on the equation times ``sin q / q``."""
     sine, cosine = math.sin(delta), math.cos(delta)
     A = 2.0 * delta - coupling * (sine / delta if abs(delta) > 1e-8 else 1.0)
@@ -180,8 +180,8 @@ def constant_input(delta: float, Y: float, Z: float, s: float, c: float) -> tupl
     square, coupling = Y * Y + Z * Z, Y * s - Z * c
     if abs(delta) > _FAR_TURN or square * delta * delta > _FAR_PRODUCT:
         gain = math.sin(delta) / delta if delta != 0.0 else 1.0
-        return 2.0 * delta + solve_far(delta, square, coupling), gain
-    e, gain = solve_small(delta, square, coupling)
+        return 2.0 * delta + _solve_far(delta, square, coupling), gain
+    e, gain = _solve_small(delta, square, coupling)
     return 2.0 * delta + e, gain
 
 
@@ -250,7 +250,7 @@ def read_interval(p: Instrument, past: Past, now: Sample, gap: Spacing, x: Row) 
     before, vibration = past.vibration, now.vibration
     x.vibration = (before * (before + vibration) + vibration * vibration) * (1.0 / 3.0)
     x.y, x.z = y, z
-    keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
+    _keep_bends(past, now, y, z, (bend_x, bend_y, bend_z))
     return bow_y, bow_z
 
 
@@ -269,7 +269,7 @@ def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float
     x.Omega_Y, x.Omega_Z = now.Omega_Y, now.Omega_Z
     x.a_Y, x.a_Z, x.t, x.temperature = now.a_Y, now.a_Z, now.t, now.T
     x.vibration = now.vibration * now.vibration
-    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+    _keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
 
 
 @inline
@@ -320,7 +320,7 @@ def keep_interval(past: Past, h: float, u: float, u_x: float, slope: float, doub
 
 
 @inline
-def keep_bends(past: Past, now: Sample, y: float, z: float, bends: tuple[float, float, float]) -> None:
+def _keep_bends(past: Past, now: Sample, y: float, z: float, bends: tuple[float, float, float]) -> None:
     """Keep the inputs of the last two samples and their second derivatives (of Omega_x, y and z)."""
     past.bend_x, past.bend_y, past.bend_z = bends
     past.Omega_x_before, past.y_before, past.z_before = past.Omega_x, past.y, past.z
@@ -378,7 +378,7 @@ def _indicate_sample(
 def begin_stretch(p: Instrument, past: Past, now: Sample) -> None:
     """Keep the first angle of a stretch; it has no row."""
     y, z = transverse(p, now)
-    keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
+    _keep_bends(past, now, y, z, (0.0, 0.0, 0.0))
     keep_interval(past, 0.0, 0.0, 0.0, 0.0, 0.0)
     keep_sample(past, now, now.psi, p.phi, 0.0)
     past.still = 1.0

@@ -229,7 +229,7 @@ def count_standing(past: Past, t: float, flag: int) -> None:
 
 _SHARE = 1.0 / 32.0
 """Share of a row in the running mean squares."""
-FAST = 1.0
+_FAST = 1.0
 """Mean square of second over that of first differences of an oscillation of six samples a period (half of Nyquist: 2, white: 3)."""
 FULL = 3.0
 """The same from which all of the variance counts: that of white samples."""
@@ -239,7 +239,7 @@ WHITE = 1.0 / 6.0
 """Variance of white samples over the mean square of their second differences."""
 _BEYOND = 3.0
 """Standard uncertainty of the hidden variance over the variance seen (docs/theory/compensation)."""
-SAMPLED = 0.5
+_SAMPLED = 0.5
 """The same for a reference: its samples show all of the variance, and a third or two thirds of it is hidden."""
 _ORDINARY = 1e-6
 """Quadratic coefficient at which a vibration is flagged where the calibration has a smaller one or none [s^2/m]."""
@@ -253,11 +253,11 @@ def near_nyquist(first: float, second: float, noise: float) -> float:
 
     Of a white vibration all of it counts, of one of six samples a period nothing.
     """
-    if second <= FAST * first or second <= _ABOVE_NOISE * noise:
+    if second <= _FAST * first or second <= _ABOVE_NOISE * noise:
         return 0.0
     if second >= FULL * first:
         return WHITE * second
-    return WHITE * (second / first - FAST) / (FULL - FAST) * second
+    return WHITE * (second / first - _FAST) / (FULL - _FAST) * second
 
 
 @inline
@@ -279,7 +279,7 @@ def see_vibration(
         past.second_t += _SHARE * (bend_y * bend_y + bend_z * bend_z - past.second_t)
     past.force_x, past.force_Y, past.force_Z = a_x, a_Y, a_Z
     past.step_x, past.step_Y, past.step_Z = x, y, z
-    if h == 0.0 or not (past.second_x > FAST * past.first_x or past.second_t > FAST * past.first_t):
+    if h == 0.0 or not (past.second_x > _FAST * past.first_x or past.second_t > _FAST * past.first_t):
         return
     noise = (20.0 * p.white / h + 6.0 * p.walk) / h * p.per_K * p.per_K
     along = near_nyquist(past.first_x, past.second_x, noise)
@@ -290,7 +290,7 @@ def see_vibration(
         return
     row.shaken = 1.0
     if not sampled:
-        row.hidden = _BEYOND * bent * along + SAMPLED * bent_t * across
+        row.hidden = _BEYOND * bent * along + _SAMPLED * bent_t * across
         row.hidden += max(abs(p.k_XY), abs(p.k_XZ)) * math.sqrt(along * across)
     past.shaken += h
     past.shaken_square += (along + across) * h
