@@ -29,10 +29,8 @@ import numpy as np
 from benchmarks.measured import ROOT, load
 
 import piga
-from piga.calibration.orders import order_spectrum
 from piga.reports.calibration.page import figures
 from piga.reports.calibration.page import page as calibration_page
-from piga.reports.calibration.tables import scale_factor
 from piga.reports.render.axes import write_figure
 from piga.reports.render.figure import Figure, Plot, axis
 from piga.reports.render.page import Table
@@ -140,10 +138,10 @@ def gallery() -> None:
     """Lock zones, the shipped plan, ten days of the published platform, and the ripple of the shipped record."""
     from piga.reports.stand import locking_figure
 
-    instrument = piga.Instrument(scale_factor="0.8884 rad/s/g", beta="1000 arcsec")
+    curves = (("1000 arcsec", 5 * G0), ("300 arcsec", 2 * G0))
     platform = piga.platform.load_scenario(ROOT / "examples" / "platform-published.toml")
     made = {
-        "locking": locking_figure(instrument, (5 * G0, 2 * G0), (1000 * ARCSEC, 300 * ARCSEC)),
+        "locking": locking_figure(*((piga.Instrument("0.8884 rad/s/g", beta), a_t) for beta, a_t in curves)),
         "gallery-planning": piga.plan_test(
             piga.read_plan(ROOT / "examples" / "plan-dividing-head.toml")
         ).figure(),
@@ -163,7 +161,6 @@ def twin() -> None:
     from piga.instrument.electronics import Electronics
     from piga.instrument.twin import PRESETS, run_twin
     from piga.reports import stand
-    from piga.reports.calibration.figures import spectrum_figure
     from piga.stand import DividingHead, Specimen, read_scenario, run_scenario, simulate_test
     from piga.stand.write_run import run_file_text, write_data
 
@@ -192,7 +189,7 @@ def twin() -> None:
             run_file_text(read_scenario(ROOT / "examples" / "twin.toml"), test, "run.parquet"), "utf-8"
         )
         cal = piga.calibrate(piga.read_run(path), ["tan_beta", "k0"])
-    order = spectrum_figure(order_spectrum(cal.residuals, scale_factor(cal)), cal)
+    order = figures(cal)["orders"]()
     save(replace(order, key="twin-order-two", title="A soft servo shows at order 2"))
     spun = run_scenario(read_scenario(ROOT / "examples" / "twin-spin-up.toml"))
     save(replace(stand.servo_figure(spun, spun.motion), key="twin-lock"))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import piga
-from piga.reports.calibration.figures import creep_figure
+from piga.reports.calibration.page import creep_figure
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.servo_data import known_noise
 from tests.calibration.made.synthetic import at_rest

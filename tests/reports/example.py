@@ -96,6 +96,7 @@ def calibration(*, serial="G-0417", phases="shared", with_residuals=True, budget
     shape = mixing @ mixing.T
     std = np.array([c.std for c in coefficients]) / np.sqrt(np.diag(shape))
     rows = (
+        BudgetEntry(source="Fit to the record", type="A", contributions={c.key: c.std for c in coefficients}),
         BudgetEntry(
             source="Reference scale",
             type="B",

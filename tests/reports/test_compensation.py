@@ -14,7 +14,7 @@ import piga
 from piga.compensation import FLAGS, SetCompensator, compensate_set
 from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.reports.calibration.tables import sentence
-from piga.reports.compensation import compensation_page, force_figure, of_record, of_set
+from piga.reports.compensation import CompensationOutline, compensation_page, force_figure
 from piga.units import G0
 from tests.compensation.run_files import KERNEL, command, write
 from tests.compensation.triads import PHASES, SKEWED, made, rotation
@@ -60,7 +60,7 @@ def test_the_correction_is_the_cross_coupling(kind):
     t = np.arange(0.0, 120.0, 0.02)
     record = run_of(t, constant_force(t, 1.0, 1.0), phi=0.3, kind=kind)
     cal = calibration_of({"scale_factor": K_G, "tan_beta": TAN_BETA, "phi": 0.3})
-    outline = of_record(record, cal, piga.compensate(record, cal))
+    outline = CompensationOutline(piga.compensate(record, cal), [record], [cal])
     indicated, correction = (outline.curves[f"{name} a_x"] for name in ("indicated", "correction"))
     known = np.isfinite(correction)
     np.testing.assert_allclose((indicated - correction)[known], G0, rtol=1e-6)
@@ -107,7 +107,8 @@ def outline_of_set(axes, rows: int, fault: int = -1, **more):
     runs, mounted = made(t, f, axes, std={"phi": 1e-5, "scale_factor": 1e-7}, **more)
     if fault >= 0:
         runs[2].output[fault] += 1e-4
-    return of_set(runs, mounted, compensate_set(runs, mounted, details=True)), mounted
+    result = compensate_set(runs, mounted, details=True)
+    return CompensationOutline(result, runs, [item.calibration for item in mounted], mounted), mounted
 
 
 def test_misfits_make_the_residual_and_flags_the_flags():
@@ -143,7 +144,7 @@ def test_outline_holds_misfits_corrections_and_flags():
     result, _ = outline_of_set([rotation(a) for a in SKEWED], 3000, fault=1200)
     for name in ("residual", *(f"misfit {i}" for i in range(4))):
         assert np.nanargmax(np.abs(result.curves[name])) in (1200, 1201)
-    assert result.raised()["fault"].size == 2
+    assert np.count_nonzero(result.result.flagged("fault")) == 2
     for axis, value in zip("xyz", (1.0, -0.7, 0.4), strict=True):
         force = result.curves[f"f_{axis}"]
         raw, correction = (result.curves[f"{name} f_{axis}"] for name in ("indicated", "correction"))

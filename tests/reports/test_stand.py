@@ -16,14 +16,14 @@ from piga.reports.stand import locking_figure
 from piga.reports.stand import page as simulation_page
 from piga.stand import DividingHead, Imperfections, Specimen, simulate_test
 from piga.stand.write_run import coefficients
-from piga.units import ARCSEC, G0
+from piga.units import G0
 from tests.stand.simulated import COUNTS, INST, SITE
 
 COUPLED = Instrument("0.8884 rad/s/g", "1000 arcsec")
 
 
 def test_locking_figure_has_the_plateau_and_the_mean_rate():
-    figure = locking_figure(COUPLED, (5 * G0, 2 * G0), (1000 * ARCSEC, 300 * ARCSEC))
+    figure = locking_figure((COUPLED, 5 * G0), (Instrument("0.8884 rad/s/g", "300 arcsec"), 2 * G0))
     (panel,) = figure.panels
     assert (panel.x.unit, panel.y.unit) == ("mg", "deg/s")
     ideal, wide, narrow = panel.series

@@ -277,14 +277,10 @@ class _Solved(NamedTuple):
 
 
 def _write_page(solved: _Solved, path: Path) -> None:
-    from piga.reports.compensation import compensation_page, of_record, of_set
+    from piga.reports.compensation import CompensationOutline, compensation_page
 
     with progress("writing the report"):
-        result = solved.result
-        if isinstance(result, piga.Compensated):
-            outline = of_record(solved.records[0], solved.calibrations[0], result)
-        else:
-            outline = of_set(solved.records, solved.mounted, result)
+        outline = CompensationOutline(solved.result, solved.records, solved.calibrations, solved.mounted)
         files = list(dict.fromkeys(solved.inputs))
         piga.reports.write_page(compensation_page(outline, solved.names, files, solved.words), path)
 

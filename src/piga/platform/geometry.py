@@ -216,14 +216,3 @@ def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
         return gyro
     seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rotation.rate
     return msgspec.structs.replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))
-
-
-def averaged_drift(rotation: Rotation, case_drift: tuple[float, float], duration: float) -> float:
-    """Largest angle [rad] by which a case-fixed drift [rad/s] turns the momentum over ``duration`` [s].
-
-    At rest it is ``w t``. Under steady rotation it is ``2 w / rate``: the momentum moves on a small circle. With
-    reversal the tip returns to its start after every full turn, so the bound is the same.
-    Own derivation, docs/theory/platform.md section 4.
-    """
-    longest = 2.0 / rotation.rate if rotation.rate else duration
-    return float(np.hypot(*case_drift)) * min(duration, longest)

@@ -14,9 +14,7 @@ True
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from piga.reports.render.figure import Axis, Figure, Panel, Plot, Series
 from piga.reports.render.page import (
@@ -36,8 +34,7 @@ from piga.reports.render.page import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Canvas
+    from piga.reports.render.axes import draw, write_figure
 
 __all__ = [
     "Axis",
@@ -63,33 +60,10 @@ __all__ = [
 ]
 
 
-def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
-    """Draw a figure with Matplotlib. ``ax``: the axes to draw on, one for each panel; None: a new figure.
-
-    Raises
-    ------
-    ArgumentError
-        If the number of axes is not the number of panels.
-    MissingPackageError
-        If Matplotlib is not installed.
-    """
+def __getattr__(name: str) -> Any:
+    """The functions that draw load Matplotlib, so they are imported when they are used."""
+    if name not in ("draw", "write_figure"):
+        raise AttributeError(name)
     from piga.reports.render import axes
 
-    return axes.draw(figure, ax)
-
-
-def write_figure(figure: Figure, path: Path, *, width: float = 7.2, dpi: int = 300) -> Path:
-    """Write a figure as ``.svg``, ``.pdf`` or ``.png``, ``width`` [inch] wide. The same figure gives the same bytes.
-
-    ``dpi``: dots per inch of a ``.png``.
-
-    Raises
-    ------
-    ArgumentError
-        If the file name ends otherwise.
-    MissingPackageError
-        If Matplotlib is not installed.
-    """
-    from piga.reports.render import axes
-
-    return axes.write_figure(figure, path, width=width, dpi=dpi)
+    return getattr(axes, name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -20,11 +19,22 @@ from piga.errors import CalibrationError
 from piga.records.arrays import changes, middles
 from piga.records.calibration.calibration import Calibration
 from piga.records.run import Run
-from piga.reports.calibration.tables import coefficient_table, judgement, quality_table, scale_factor, sentence
-from piga.reports.render.figure import POINTS, XYZ, Axis, Figure, Plot, Role
+from piga.reports.calibration.tables import judgement, quality_table, scale_factor, sentence
+from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, rounded, short
-from piga.reports.render.page import ALONE, Judgement, Notice, Page, Section, TableOf, Tile, Tone, named_values
-from piga.reports.render.page import sections as shown_sections
+from piga.reports.render.page import (
+    ALONE,
+    Content,
+    Judgement,
+    Notice,
+    Page,
+    Section,
+    TableOf,
+    Tile,
+    Tone,
+    named_values,
+    sections,
+)
 from piga.results import Array
 from piga.units import G0, MICRO_G
 
@@ -32,9 +42,9 @@ from piga.units import G0, MICRO_G
 class CompensationOutline:
     """A compensation with its records and calibrations, and its curves (n,) by name [m/s^2].
 
-    The components are ``a_x``; of a set ``f_x``, ``f_y``, ``f_z``. A curve is a component itself, or has ``indicated``,
-    ``correction`` or ``u`` before its name. A set also has ``correction`` of each instrument, and a redundant one
-    ``residual`` and ``misfit`` of each. A curve that is not known is missing.
+    The components are ``a_x``; of a set, whose instruments are ``mounted``, ``f_x``, ``f_y``, ``f_z``. A curve is a component
+    itself, or has ``indicated``, ``correction`` or ``u`` before its name. A set also has ``correction`` of each instrument, and
+    a redundant one ``residual`` and ``misfit`` of each. A curve that is not known is missing.
     """
 
     def __init__(
@@ -46,40 +56,37 @@ class CompensationOutline:
     ) -> None:
         self.result, self.records, self.calibrations = result, tuple(records), tuple(calibrations)
         self.mounted, self.t = tuple(mounted), result.t - result.t[0]
+        self.redundant = len(mounted) > 3
         single = isinstance(result, Compensated)
         self.components = ("a_x",) if single else tuple(f"f_{axis}" for axis in XYZ)
         force, u = (result.ax, result.u_ax) if isinstance(result, Compensated) else (result.f, result.u_f)
-        self.curves = dict(zip(self.components, force.reshape(result.size, -1).T, strict=True))
+        force = force.reshape(result.size, -1).T
+        self.curves: dict[str, Array] = dict(zip(self.components, force, strict=True))
         if u.size:
-            named = (f"u {name}" for name in self.components)
-            self.curves |= dict(zip(named, u.reshape(result.size, -1).T, strict=True))
-
-    def add_indicated(self, *indicated: Array) -> None:
-        """Add what the instruments indicate of each component."""
-        for name, values in zip(self.components, indicated, strict=True):
-            self.curves |= {f"indicated {name}": values, f"correction {name}": values - self.curves[name]}
-
-    @property
-    def redundant(self) -> bool:
-        """True if there are more instruments than unknowns, so that a misfit exists."""
-        return len(self.mounted) > 3
+            self.curves |= {f"u {c}": u.reshape(result.size, -1)[:, k] for k, c in enumerate(self.components)}
+        if not records:
+            return
+        begins = np.logical_or.reduce([record.begins for record in records])
+        pairs = enumerate(zip(records, calibrations, strict=True))
+        along = np.array([_indicated(*pair, begins, self.flags_of(i)) for i, pair in pairs])
+        axes = np.array([item.axes[0] for item in mounted] or [[1.0]], dtype=float)
+        for c, values in zip(self.components, np.linalg.pinv(axes) @ along, strict=True):
+            self.curves |= {f"indicated {c}": values, f"correction {c}": values - self.curves[c]}
+        for i in range(len(mounted)):
+            self.curves[f"correction {i}"] = along[i] - axes[i] @ force
+        if isinstance(result, CompensatedSet) and self.redundant:
+            misfits = {f"misfit {i}": values for i, values in enumerate(result.misfit)}
+            self.curves |= misfits | {"residual": result.residual}
 
     def flags_of(self, instrument: int) -> NDArray[np.int32]:
         """Flags of one instrument; those of all if they are not known apart."""
         each = getattr(self.result, "each", None)
         return each[instrument] if each is not None and each.size else self.result.flags
 
-    def raised(self) -> dict[str, Array]:
-        """Times of the rows with each flag that is raised, since the first row [s]."""
-        times = {name: self.t[self.result.flagged(name)] for name in FLAGS}
-        return {name: t for name, t in times.items() if t.size}
-
     def rms(self, *names: str) -> float:
         """Root mean square of all finite values of curves, taken together as components; nan without values."""
-        finite = [
-            values[np.isfinite(values)] for name in names if (values := self.curves.get(name)) is not None
-        ]
-        parts = [float(values @ values) / values.size for values in finite if values.size]
+        known = (self.curves[name] for name in names if name in self.curves)
+        parts = [float(np.mean(np.square(seen))) for one in known if (seen := one[np.isfinite(one)]).size]
         return math.sqrt(sum(parts)) if parts else math.nan
 
 
@@ -106,54 +113,21 @@ def _indicated(
     return turn / (K * np.where(h > 0.0, h, np.nan))
 
 
-def of_record(record: Run, calibration: Calibration, result: Compensated) -> CompensationOutline:
-    """Outline of a single instrument."""
-    outline = CompensationOutline(result, [record], [calibration])
-    outline.add_indicated(_indicated(record, calibration, record.begins, result.flags))
-    return outline
-
-
-def of_set(records: Sequence[Run], mounted: Sequence[Mounted], result: CompensatedSet) -> CompensationOutline:
-    """Outline of a set; ``result`` with details."""
-    outline = CompensationOutline(result, records, [item.calibration for item in mounted], mounted)
-    begins = np.logical_or.reduce([record.begins for record in records])
-    axes = np.array([item.axes[0] for item in mounted], dtype=float)
-    along = np.empty((len(records), result.size))
-    for i, (record, item) in enumerate(zip(records, mounted, strict=True)):
-        along[i] = _indicated(record, item.calibration, begins, outline.flags_of(i))
-        outline.curves[f"correction {i}"] = along[i] - result.f @ axes[i]
-        if outline.redundant:
-            outline.curves |= {f"misfit {i}": result.misfit[i], "residual": result.residual}
-    outline.add_indicated(*(np.linalg.pinv(axes) @ along))
-    return outline
-
-
 # --- figures --------------------------------------------------------------------------------
 
 TIME = "time since the first row [s]"
-COMPARED_ROWS = 1 << 24
+_COMPARED = 1 << 24
 """Most rows of a record that is compared with its reference: it takes eight columns of memory."""
 
 
-def compensation_errors(record: Run, dv: Array, scale_factor: float) -> tuple[Array, Array]:
-    """Error of the velocity as an angle [rad; a direct instrument: m/s], indicated and compensated.
-
-    ``dv`` are the compensated increments, ``scale_factor`` is K [(rad/s)/(m/s^2)].
-    """
+def _error_figure(record: Run, dv: Array, K: float) -> Figure:
+    """Error against time of a record whose reference holds ``a_x``. ``dv``: compensated increments; K [(rad/s)/(m/s^2)]."""
     h, turn = _turned(record, record.begins)
-    force = h * middles(record.f[:, 0])
-    scale = 1.0 if record.direct else scale_factor
-    before, after = (np.cumsum(scale * error) for error in (turn / scale_factor - force, dv - force))
-    return before, after
-
-
-def error_figure(record: Run, dv: Array, scale_factor: float) -> Figure:
-    """Error against time of a record whose reference holds ``a_x``; ``scale_factor`` is K [(rad/s)/(m/s^2)]."""
+    t, force, scale = record.t - record.t[0], h * middles(record.f[:, 0]), 1e3 * (1.0 if record.direct else K)
     error = "velocity error [mm/s]" if record.direct else "velocity error as output angle [mrad]"
     plot = Plot("compensation-error", "Error before and after compensation.", TIME, error)
-    before, after = compensation_errors(record, dv, scale_factor)
-    plot.line(record.t - record.t[0], 1e3 * before, "as indicated", "before")
-    plot.line(record.t - record.t[0], 1e3 * after, "compensated", "after")
+    plot.line(t, np.cumsum(scale * (turn / K - force)), "as indicated", "before")
+    plot.line(t, np.cumsum(scale * (dv - force)), "compensated", "after")
     words = "The running error of the velocity against the reference"
     if record.direct:
         return plot.caption(f"{words}.")
@@ -188,12 +162,10 @@ def force_figure(outline: CompensationOutline) -> Figure:
     if not outline.records:
         return plot.caption("Compensated specific force, and its standard uncertainty.")
     along = " Several instruments: taken as force along the input axes, by least squares."
-    note = f"Outlines of at most {POINTS} points; lowest and highest values are kept."
     return plot.caption(
         "Indicated: output rate over the calibrated scale factor, the base rate added where it is recorded."
         f"{'' if single else along} The correction, indicated less compensated, is the cross-coupling and the error terms "
-        "of the calibration; both curves carry the same noise, so it does not.",
-        *([] if t.size <= POINTS else [note]),
+        "of the calibration; both curves carry the same noise, so it does not."
     )
 
 
@@ -217,7 +189,7 @@ def misfit_figure(outline: CompensationOutline, names: Sequence[str]) -> Figure:
 def figures(result: Compensated | CompensatedSet) -> dict[str, Callable[[], Figure]]:
     """The figure of a compensation in memory; without its record the compensated force alone."""
     made = result.made_from if isinstance(result, Compensated) else None
-    outline = CompensationOutline(result) if made is None else of_record(*made, result)  # type: ignore[arg-type]
+    outline = CompensationOutline(result, *([[made[0]], [made[1]]] if made else []))  # type: ignore[arg-type]
     return {"force": partial(force_figure, outline)}
 
 
@@ -236,9 +208,8 @@ def page(result: Compensated) -> Page:
         )
     run, calibration = result.made_from
     data = Path(run.source).name or "arrays in memory", next(iter(run.input_sha256.values()), "")
-    return compensation_page(
-        of_record(run, calibration, result), (data[0],), (data,), {"method": result.method}
-    )
+    outline = CompensationOutline(result, [run], [calibration])
+    return compensation_page(outline, (data[0],), (data,), {"method": result.method})
 
 
 def compensation_page(
@@ -256,7 +227,7 @@ def compensation_page(
         subtitle=f"{', '.join(names)}; {count(outline.t.size)} rows; the output is of kind "
         f"{'count' if first.direct and kind == 'angle' else kind}.",
         tiles=_tiles(outline),
-        sections=shown_sections(
+        sections=sections(
             Section("Specific force", "specific-force", (force_figure(outline),)),
             _misfit(outline, names) if outline.mounted else _reference(outline),
             _flags(outline, names),
@@ -282,10 +253,8 @@ def _judgement(outline: CompensationOutline, names: Sequence[str]) -> Judgement:
         for doubt in calibration.verdict.doubts:
             named.setdefault((sentence(doubt.what), doubt.remedy), []).append(name)
     problems = tuple((f"{', '.join(those)}: {what}", remedy) for (what, remedy), those in named.items())
-    tested = dict.fromkeys(words for one in each for words in one.tested)
-    untested = dict.fromkeys(words for one in each for words in one.not_tested)
     headline = f"The calibrations that were used: {worst.headline}"
-    return Judgement(worst.tone, headline, "", problems, tuple(tested), tuple(untested))
+    return Judgement(worst.tone, headline, "", problems)
 
 
 def _micro_g(outline: CompensationOutline, *names: str) -> str:
@@ -318,33 +287,35 @@ def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
 
 
 def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    title, anchor = "Instruments against each other", "misfit"
+    faults = int(np.count_nonzero(outline.result.flagged("fault")))
+    content: tuple[Content, ...]
     if not outline.redundant:
         text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
-        return Section(title, anchor, (Notice("info", text),))
-    faults = int(np.count_nonzero(outline.result.flagged("fault")))
-    words = f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
-    notice = Notice("warning", words)
-    if faults == 0:
-        notice = Notice("good", "No row contradicts itself beyond the uncertainties of the calibrations.")
-    return Section(title, anchor, (notice, misfit_figure(outline, names)))
+        content = (Notice("info", text),)
+    elif faults:
+        words = f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
+        content = (Notice("warning", words), misfit_figure(outline, names))
+    else:
+        words = "No row contradicts itself beyond the uncertainties of the calibrations."
+        content = (Notice("good", words), misfit_figure(outline, names))
+    return Section("Instruments against each other", "misfit", content)
 
 
 def _reference(outline: CompensationOutline) -> Section:
-    title, anchor = "Against the reference", "reference"
-    if outline.t.size > COMPARED_ROWS:
-        words = f"The error against the reference is shown for records of at most {count(COMPARED_ROWS)} rows."
-        return Section(title, anchor, (Notice("info", words),))
-    lead = (
+    words = (
         "Where the record holds a reference along the input axis that is worth comparing with (a laboratory does), "
         "these are the errors against it; they hold the errors of that reference, too."
     )
-    drawn = error_figure(outline.records[0], outline.result.dv, scale_factor(outline.calibrations[0]))
-    return Section(title, anchor, (lead, drawn))
+    K = scale_factor(outline.calibrations[0])
+    content: Content = partial(_error_figure, outline.records[0], outline.result.dv, K)
+    if outline.t.size > _COMPARED:
+        content = Notice("info", f"The error is shown for records of at most {count(_COMPARED)} rows.")
+    return Section("Against the reference", "reference", (words, content))
 
 
 def _flags(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    raised = outline.raised()
+    times = {name: outline.t[outline.result.flagged(name)] for name in FLAGS}
+    raised = {name: t for name, t in times.items() if t.size}
     if not raised:
         return Section("Flags", "flags", (Notice("good", "No row carries a flag."),))
     table = (
@@ -383,7 +354,7 @@ def _instruments(outline: CompensationOutline, names: Sequence[str]) -> Section:
 def _provenance(
     outline: CompensationOutline, names: Sequence[str], files: Inputs, options: dict[str, str]
 ) -> Section:
-    """How it was compensated, with which coefficients, and the files."""
+    """How it was compensated, and the files."""
     many = len(names) > 1
     options = dict(options)
     for name, calibration in zip(names, outline.calibrations, strict=True):
@@ -395,14 +366,6 @@ def _provenance(
         if item.phase is not None:
             phase = rounded(item.phase.value, item.phase.std).concise
             options[f"phase used ({name})"] = f"{phase} rad, as given"
-    used = [
-        replace(
-            coefficient_table(calibration, every=True),
-            caption=f"Coefficients of the calibration{f' of {name}' if many else ''}.",
-            notes=(),
-        )
-        for name, calibration in zip(names, outline.calibrations, strict=True)
-    ]
     how = named_values("", "", options, "How it was compensated.")
     read = named_values("file", "SHA-256", files, "Files as they were read.", code=True)
-    return Section("Provenance", "provenance", (how, *used, read))
+    return Section("Provenance", "provenance", (how, read))

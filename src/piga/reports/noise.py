@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from piga.noise.analysis import NoiseAnalysis, level_unit
-from piga.noise.deviations import ONE_SIGMA, NoiseLevel, level_variances
+from piga.noise.deviations import ONE_SIGMA, AllanDeviation, NoiseLevel, level_variances
 from piga.reports.render.figure import Axis, Figure, Plot, Role
 from piga.reports.render.numbers import count, pretty_unit, short, shown_output
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Tile, origin
@@ -28,33 +28,38 @@ _ROLES: dict[str, Role] = {"allan": "after", "modified": "x", "hadamard": "warni
 
 def figures(noise: NoiseAnalysis) -> dict[str, Callable[[], Figure]]:
     """The figures by name."""
-    return {"deviations": partial(_deviations_figure, noise), "spectrum": partial(spectrum_figure, noise)}
+    return {"deviations": partial(_deviations_figure, noise), "spectrum": partial(_spectrum_figure, noise)}
 
 
 def _deviations_figure(noise: NoiseAnalysis) -> Figure:
-    one, unit = shown_output(noise.unit)
-    allan = noise.deviations[0]
-    low = 0.2 * min(
-        float(each.deviation[each.deviation > 0.0].min(initial=np.inf)) for each in noise.deviations
-    )
-    limits = (low / one, 3.0 * float(allan.upper.max()) / one) if np.isfinite(low) else None
-    y = Axis("deviation", pretty_unit(unit), log=True, limits=limits)
-    plot = Plot("deviations", "Deviations of the rate.", "log averaging time [s]", y, height=4.2)
-    plot.band(allan.tau, allan.lower / one, allan.upper / one, "68 % band, Allan")
-    for each in noise.deviations:
-        plot.marked(each.tau, each.deviation / one, each.kind, _ROLES[each.kind])
-    variances = level_variances(allan.tau, noise.levels)
-    plot.line(allan.tau, np.sqrt(sum(variances.values())) / one, "all levels", "model")
-    for level in noise.levels:
-        if level.seen:
-            plot.dashed(allan.tau, np.sqrt(variances[level.name]) / one, NAMES[level.name], "reference")
-    return plot.caption(
+    plot = Plot("deviations", "Deviations of the rate.", height=4.2)
+    return draw_deviations(plot, noise.deviations, noise.levels, noise.unit).caption(
         "Overlapping Allan, modified and Hadamard deviation. Every difference counts. The full line is the Allan deviation "
         "of all levels together. Good: it runs in the band."
     )
 
 
-def spectrum_figure(noise: NoiseAnalysis) -> Figure:
+def draw_deviations(
+    plot: Plot, deviations: Sequence[AllanDeviation], levels: Sequence[NoiseLevel], unit: str
+) -> Plot:
+    """A panel of deviations of a rate with the 68 % band of the first, which is Allan's, and the Allan deviation of levels."""
+    one, unit = shown_output(unit)
+    allan = deviations[0]
+    low = 0.2 * min(float(each.deviation[each.deviation > 0.0].min(initial=np.inf)) for each in deviations)
+    limits = (low / one, 3.0 * float(allan.upper.max()) / one) if np.isfinite(low) else None
+    plot.panel("log averaging time [s]", Axis("deviation", pretty_unit(unit), log=True, limits=limits))
+    plot.band(allan.tau, allan.lower / one, allan.upper / one, "68 % band, Allan")
+    for each in deviations:
+        plot.marked(each.tau, each.deviation / one, each.kind, _ROLES[each.kind])
+    variances = level_variances(allan.tau, levels)
+    plot.line(allan.tau, np.sqrt(sum(variances.values())) / one, "all levels", "model")
+    for level in levels:
+        if level.seen:
+            plot.dashed(allan.tau, np.sqrt(variances[level.name]) / one, NAMES[level.name], "reference")
+    return plot
+
+
+def _spectrum_figure(noise: NoiseAnalysis) -> Figure:
     """Root of the spectral density, and that of the levels."""
     one, unit = shown_output(noise.unit)
     spectrum = noise.spectrum
@@ -116,7 +121,7 @@ def page(noise: NoiseAnalysis) -> Page:
         _tiles(noise),
         (
             Section("Levels", "levels", (lead, _levels_table(noise), *notices, drawn)),
-            Section("Spectrum", "the-spectrum", (partial(spectrum_figure, noise),)),
+            Section("Spectrum", "the-spectrum", (partial(_spectrum_figure, noise),)),
             origin(noise.input_sha256),
         ),
         kicker="piga noise",

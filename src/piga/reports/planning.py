@@ -14,7 +14,7 @@ from piga.planning.plan import Plan
 from piga.records.terms import shown_unit, term_words, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
-from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, Tone, named_values
+from piga.reports.render.page import Cell, Notice, Page, Section, Table, TableOf, Tile, named_values
 from piga.results import Array
 from piga.units import G0
 
@@ -127,8 +127,7 @@ def _uncertainty_table(plan: Plan) -> Table:
         .number("u, Type A", lambda row: significant(plan.best.std(row[0]) * row[1], 3))
         .number("u with the stand", lambda row: significant(plan.best.combined(row[0]) * row[1], 3))
     )
-    for one in plan.standard:
-        table.number(one.name, _over_planned(plan, one))
+    table.across(plan.standard, lambda one: one.name, partial(_over_planned, plan))
     notes = [f"{one.name}: {one.refusal}." for one in plan.standard if one.refusal]
     for one in plan.standard:
         margin = plan.request.table.plan.margin
@@ -138,15 +137,10 @@ def _uncertainty_table(plan: Plan) -> Table:
     return table.table(caption, tuple(notes))
 
 
-def _over_planned(plan: Plan, prediction: Prediction) -> Callable[[tuple[str, float, str]], Cell]:
-    """Cells of a standard plan: its uncertainties as multiples of the plan's."""
-
-    def cell(row: tuple[str, float, str]) -> Cell:
-        ratio = prediction.std(row[0]) / plan.best.std(row[0])
-        tone: Tone = "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful"
-        return Cell(short(ratio), tone)
-
-    return cell
+def _over_planned(plan: Plan, row: tuple[str, float, str], standard: Prediction) -> Cell:
+    """Uncertainty of a standard plan as a multiple of the plan's."""
+    ratio = standard.std(row[0]) / plan.best.std(row[0])
+    return Cell(short(ratio), "quiet" if math.isinf(ratio) else "good" if ratio > 1.0 else "doubtful")
 
 
 def _cheapest(plan: Plan, cheapest: Prediction) -> Notice:

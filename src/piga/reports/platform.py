@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from piga.platform.chain import BudgetRow, ModelComparisonRun, case_rates, last_east_lines
-from piga.platform.geometry import apparent_gyro, averaged_drift, wrapped
+from piga.platform.geometry import apparent_gyro, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
     UNKNOWNS,
@@ -99,7 +99,7 @@ def simulation_page(run: PlatformRun) -> Page:
     )
     shown = (
         Section("What is read", "read", (partial(readouts_figure, run),)),
-        Section("What was put in", "truth", (_truth_table(s), _case_rotation_text(s))),
+        Section("What was put in", "truth", (_truth_table(s),)),
     )
     return page("Platform simulation", s, tiles, shown)
 
@@ -147,22 +147,6 @@ def _truth_table(s: PlatformScenario) -> Table:
             rows.append((f"{name} {words}", pair, "deg/h"))
     table = TableOf(rows).text("quantity", lambda row: row[0]).number("value", lambda row: row[1])
     return table.text("unit", lambda row: row[2]).table()
-
-
-def _case_rotation_text(s: PlatformScenario) -> Text:
-    at_rest = type(s.polar_rotation)(0.0)
-    cases = (("polar", s.polar, s.polar_rotation), ("equatorial", s.equatorial, s.equatorial_rotation))
-    parts = []
-    for name, gyro, rotation in cases:
-        if any(gyro.case_drift):
-            resting, turning = (
-                short(averaged_drift(one, gyro.case_drift, s.duration) / ARCMIN) for one in (at_rest, rotation)
-            )
-            parts.append(
-                f"The case-fixed drift of the {name} gyro would turn its momentum by {resting} arcmin over the "
-                f"run with the case at rest; with the case turning it stays within {turning} arcmin."
-            )
-    return Text("\n\n".join(parts) or "No case-fixed drift was put in.")
 
 
 def _observability_table(sources: Sequence[Mapping[str, Any]]) -> Table:
@@ -229,14 +213,12 @@ def _line_sections(c: ModelComparisonRun) -> Iterator[Section]:
     if not _unequal(c):
         yield Section("Lines at the case-rotation period", "lines", _line_content(c, "amplitude"))
         return
-    cases: tuple[tuple[str, str, Case], ...] = (
-        ("polar", "lines", "amplitude"),
-        ("equatorial", "equatorial-lines", "equatorial"),
+    polar, equatorial = (
+        short(2.0 * np.pi / rate if rate > 0.0 else np.inf) for rate in case_rates(c.run.scenario)
     )
-    for (gyro, anchor, which), rate in zip(cases, case_rates(c.run.scenario), strict=True):
-        period = 2.0 * np.pi / rate if rate > 0.0 else np.inf
-        title = f"Lines of the {gyro} gyro's case, period {short(period)} s"
-        yield Section(title, anchor, _line_content(c, which))
+    title = "Lines of the {} gyro's case, period {} s"
+    yield Section(title.format("polar", polar), "lines", _line_content(c, "amplitude"))
+    yield Section(title.format("equatorial", equatorial), "equatorial-lines", _line_content(c, "equatorial"))
 
 
 def _unequal(c: ModelComparisonRun) -> bool:
@@ -245,11 +227,11 @@ def _unequal(c: ModelComparisonRun) -> bool:
 
 _CHANNELS = {
     "east_velocity": ("mm/s", 1e3),
-    "north_velocity": ("mm/s", 1e3),
     "heading": ("arcmin", 1.0 / ARCMIN),
     "roll": ("arcmin", 1.0 / ARCMIN),
+    "north_velocity": ("mm/s", 1e3),
 }
-"""Channels of the lines with their units in tables."""
+"""Channels of the lines with their units."""
 
 
 def _line_content(c: ModelComparisonRun, which: Case) -> tuple[Content, ...]:
@@ -397,17 +379,6 @@ def _course_out(times: Array, values: Array, over: int) -> tuple[Array, Array]:
 _MODEL_ROLES: dict[str, Role] = {"none": "muted", "A": "before", "B": "after", "C": "model"}
 _DASHED = "C"
 """Model whose curve is dashed: it often lies on that of model B, which must be seen."""
-_LINES = {
-    "east_velocity": ("east velocity line [m/s]", 1.0),
-    "heading": ("heading line [arcmin]", ARCMIN),
-    "roll": ("roll line [arcmin]", ARCMIN),
-    "north_velocity": ("north velocity line [m/s]", 1.0),
-}
-_SAYINGS = {
-    "A": "Model A grows with the redundancy angle.",
-    "B": "Model B follows the redundancy angle.",
-    "C": "Model C removes the wobble as well.",
-}
 Case = Literal["amplitude", "equatorial"]
 """Choice of lines: at the polar case's rate, or at the equatorial case's rate if that differs."""
 WITH_THEORY: dict[Case, tuple[Model, ...]] = {"amplitude": ("A", "none"), "equatorial": ("none",)}
@@ -419,17 +390,16 @@ def lines_figure(comparison: ModelComparisonRun, which: Case = "amplitude") -> F
     polar = which == "amplitude"
     key, whose = ("fig-lines", "case-rotation") if polar else ("fig-equatorial-lines", "equatorial case's")
     plot = Plot(f"{key}-per-day", f"What each model leaves at the {whose} period", columns=2, height=2.6)
-    for name, (quantity, scale) in _LINES.items():
-        plot.panel("day", f"log {quantity}")
+    for name, (unit, scale) in _CHANNELS.items():
+        plot.panel("day", f"log {name.replace('_', ' ')} line [{unit}]")
         for model, run in comparison.models.items():
             label, amplitude = model_name(model), getattr(run.lines, which)[name]
             dashed = model == _DASHED
-            plot.marked(run.lines.day, amplitude / scale, label, _MODEL_ROLES[model], dashed=dashed)
+            plot.marked(run.lines.day, scale * amplitude, label, _MODEL_ROLES[model], dashed=dashed)
             if model in WITH_THEORY[which] and run.theory is not None:
                 theory = getattr(run.theory, which)[name]
-                plot.dashed(run.theory.day, theory / scale, f"theory, {label}")
-    sayings = [_SAYINGS[m] for m in comparison.models if m in _SAYINGS and polar]
-    return plot.caption(" ".join(["Amplitude fitted over each day.", *sayings]))
+                plot.dashed(run.theory.day, scale * theory, f"theory, {label}")
+    return plot.caption("Amplitude fitted over each day; the theory is dashed.")
 
 
 def histories_figure(comparison: ModelComparisonRun) -> Figure:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,35 +35,23 @@ _POINTS = 801
 _ROLES: tuple[Role, ...] = (*XYZ, "data")
 
 
-def locking_figure(
-    inst: Instrument, a_t: Sequence[float] = (5.0 * G0,), beta: Sequence[float] | None = None
-) -> Figure:
+def locking_figure(*curves: tuple[Instrument, float]) -> Figure:
     """Mean output rate against specific force along the input axis, with its locked plateau.
 
-    Parameters
-    ----------
-    inst:
-        The instrument; its ``beta`` is used where ``beta`` is None.
-    a_t, beta:
-        Transverse specific force [m/s^2] and non-orthogonality [rad] of each curve.
+    A curve is an instrument and its transverse specific force [m/s^2]; the ideal line is that of the first.
     """
-    curves = list(zip(a_t, beta or [inst.beta] * len(a_t), strict=True))
-    instruments = [Instrument(inst.scale_factor, angle) for _, angle in curves]
-    borders = [
-        float(dead_zone(one, force, 0.0)[1]) for one, (force, _) in zip(instruments, curves, strict=True)
-    ]
+    borders = [float(dead_zone(one, force, 0.0)[1]) for one, force in curves]
     limit = 2.0 * (max(borders) or 1e-3 * G0)
     plot = Plot(
         "locking", "Locking of the output rate by transverse specific force",
         "specific force along the input axis a_x [mg]", "mean output rate [deg/s]", height=3.6,
     )  # fmt: skip
     ends = np.array([-limit, limit])
-    plot.dashed(ends / G0 * 1e3, np.degrees(inst.scale_factor * ends), "ideal: K a_x")
-    for k, (one, (force, angle)) in enumerate(zip(instruments, curves, strict=True)):
-        a_x = _spread(limit, borders[k])
-        name = f"a_t = {force / G0:.3g} g, beta = {angle / ARCSEC:.4g} arcsec"
-        rate = np.degrees(mean_rate(one, a_x, force, 0.0))
-        plot.line(a_x / G0 * 1e3, rate, name, _ROLES[k % len(_ROLES)])
+    plot.dashed(ends / G0 * 1e3, np.degrees(curves[0][0].scale_factor * ends), "ideal: K a_x")
+    for (one, force), border, role in zip(curves, borders, cycle(_ROLES), strict=False):
+        a_x = _spread(limit, border)
+        name = f"a_t = {force / G0:.3g} g, beta = {one.beta / ARCSEC:.4g} arcsec"
+        plot.line(a_x / G0 * 1e3, np.degrees(mean_rate(one, a_x, force, 0.0)), name, role)
     return plot.caption(
         "Inside the dead zone |a_x| < a_t tan(beta) the gimbal comes to rest although there is specific "
         f"force along the input axis; the widest plateau reaches to {max(borders) / G0 * 1e3:.3g} mg. Outside, the mean "
@@ -101,26 +90,22 @@ def constant_input_page(inst: Instrument, a_x: float, a_t: float, seconds: float
     motion.dashed(t, inst.scale_factor * a_x * t / turn, "without")
     content = (
         rates.caption("Where the curve crosses zero the gimbal can rest."),
-        locking_figure(inst, (a_t,)),
+        locking_figure((inst, a_t)),
         motion.caption("The exact closed form, from \u03b1 = 0."),
     )
     sections = (Section("Motion", "the-motion", content),)
     return Page("Constant input", "", tuple(tiles), sections, "piga \u00b7 explore")
 
 
-Drawn = dict[str, Callable[[], Figure]]
-"""Functions that draw figures, by name."""
-
-
-def figures(test: SimulatedTest) -> Drawn:
+def figures(test: SimulatedTest) -> dict[str, Callable[[], Figure]]:
     """All figures of a simulated test by name, in reading order."""
-    drawn: Drawn = {"stand": partial(_stand_figure, test)}
+    drawn: dict[str, Callable[[], Figure]] = {"stand": partial(_stand_figure, test)}
     if np.any(test.profile.force - test.profile.reference):
         drawn["imperfections"] = partial(_imperfection_figure, test)
     drawn["output"] = partial(_output_figure, test)
     if test.specimen.instrument.tan_beta:
         across = np.hypot(*test.profile.force[test.profile.recorded, 1:].T)
-        drawn["locking"] = partial(locking_figure, test.specimen.instrument, (float(across.max()),))
+        drawn["locking"] = partial(locking_figure, (test.specimen.instrument, float(across.max())))
     if test.motion is not None:
         drawn["servo"] = partial(servo_figure, test, test.motion)
         drawn["bode"] = partial(bode_figure, test.specimen.design)
@@ -256,7 +241,7 @@ def _tiles(test: SimulatedTest) -> tuple[Tile, ...]:
     )
 
 
-def _servo_section(test: SimulatedTest, drawn: Drawn) -> Section:
+def _servo_section(test: SimulatedTest, drawn: dict[str, Callable[[], Figure]]) -> Section:
     changes = test.motion.lock_changes() if test.motion is not None else ()
     when = ", ".join(f"{word} at {short(t, 4)} s" for t, word in changes[:6])
     lost = Notice("warning", f"Pick-off or torque motor left their range: lock {when}.") if changes else None

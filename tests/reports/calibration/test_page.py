@@ -74,7 +74,7 @@ def with_sensitivities(cal):
         result = {
             c.key: Amount(row.contributions[c.key] / source.value, f"{c.unit}/{source.unit}")
             for c in cal.coefficients
-            if c.key in row.contributions
+            if source and c.key in row.contributions
         }
         rows.append(dataclasses.replace(row, sensitivities=result))
     return dataclasses.replace(cal, budget=tuple(rows))

@@ -27,7 +27,7 @@ def every_mark():
 
 
 def test_a_page_and_a_file_show_the_same_series(cal):
-    from piga.reports.calibration.figures import calibration_figures
+    from piga.reports.calibration.page import calibration_figures
 
     for figure in (*calibration_figures(cal).values(), every_mark()):
         panels = figure_document(figure)["panels"]

@@ -67,7 +67,7 @@ def figure(key="curve", name="data"):
 
 def page(word="plain"):
     blocks = (
-        Text(f"One {word}.\n\nTwo.", lead=True),
+        Text(f"One {word}.", lead=True),
         Table(
             (TableColumn("Name", align="text"), TableColumn(word, "arcsec")),
             (("a", Cell("1", "good")), (word, Cell("2", "quiet"))),

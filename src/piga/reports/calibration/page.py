@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from piga.calibration.fit import lagged_products
+from piga.calibration.orders import OrderSpectrum, order_spectrum, residual_angles, ripple, segment_slices
 from piga.errors import CalibrationError
+from piga.noise.deviations import NoiseLevel, allan_deviation
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE
-from piga.records.terms import integral_unit, shown_unit
+from piga.records.calibration.diagnostics import COUNTED, Residuals
+from piga.records.terms import shown_unit
 from piga.reports.calibration import tables
-from piga.reports.calibration.figures import (
-    calibration_figures,
-    elapsed_time,
-    figures_of,
-    outline,
-    residual_figure,
-)
-from piga.reports.calibration.tables import facts_table, residual_quantity
-from piga.reports.render.figure import Figure
+from piga.reports.calibration.tables import facts_table, residual_quantity, scale_factor
+from piga.reports.noise import draw_deviations
+from piga.reports.render.figure import Axis, Figure, Plot, Role, envelope_rows
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short, shown_output
 from piga.reports.render.page import (
     ALONE,
@@ -35,10 +36,15 @@ from piga.reports.render.page import (
     introduced,
     sections,
 )
-from piga.results import in_words
-from piga.units import G0
+from piga.results import Array, in_words
+from piga.units import ARCSEC, G0, MICRO_G
 
-__all__ = ["brief", "figures", "page", "residual_figure"]
+_SELECTABLE = 1000
+"""Most segments of a page on which the reader can select one."""
+_LAGS = 40
+"""Lags of the autocorrelation."""
+_SHOWN, _OUTLINE = 1 << 20, 50_000
+"""Samples that figures work on at most, and points of the residuals of a longer record."""
 
 
 def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
@@ -48,9 +54,7 @@ def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
 
 
 def _figure(cal: Calibration, name: str) -> Figure:
-    make = figures_of(cal).get(name)
-    drawn = make() if make is not None else None
-    if drawn is None:
+    if (drawn := calibration_figures(cal, name).get(name)) is None:
         raise CalibrationError(
             f"plot.{name}: this calibration has no data for the figure",
             remedy="calibrate a record in this process: calibration.json holds no residuals; creep needs five positions",
@@ -58,9 +62,35 @@ def _figure(cal: Calibration, name: str) -> Figure:
     return drawn
 
 
+def calibration_figures(cal: Calibration, *names: str) -> dict[str, Figure]:
+    """All figures that this calibration has the data for, by name, or those of these ``names``.
+
+    Without ``cal.residuals`` (a calibration read back from JSON) those of the residuals are missing.
+    """
+    made: dict[str, Callable[[], Figure | None]] = {
+        "segments": partial(segment_figure, cal),
+        "creep": partial(creep_figure, cal),
+    }
+    if cal.residuals is not None and cal.residuals.t.size:
+        part = _leading_part(cal.residuals)
+        angles = residual_angles(part, cal.diagnostics.residual_kind)
+        runs = tuple(run.name for run in cal.runs)
+        made["residuals"] = partial(residual_figure, cal.residuals, residual_quantity(cal), runs)
+        made["whiteness"] = partial(_whiteness_figure, part, cal.diagnostics.verdict)
+        if not runs:
+            made["allan"] = partial(_allan_figure, cal, angles)
+        if not cal.direct:
+            made["orders"] = partial(_order_figure, cal, angles)
+            made["ripple"] = partial(_ripple_figure, cal, angles)
+    drawn = {name: make() for name, make in made.items() if name in (names or made)}
+    return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
 def brief(cal: Calibration) -> Page:
     """The calibration for terminal and notebook: verdict, coefficients, noise, findings and budget."""
-    coefficients = Section("", "coefficients", (replace(tables.coefficient_table(cal, every=True), notes=()),))
+    notes = ("k u: half width of the 95 % interval.",) if cal.type_a_only else ()
+    table = replace(tables.coefficient_table(cal, every=True), notes=notes)
+    coefficients = Section("", "coefficients", (table,))
     if cal.given:
         return _page(cal, (coefficients,))
     sources = any(row.type == "B" for row in cal.budget)
@@ -68,7 +98,7 @@ def brief(cal: Calibration) -> Page:
     shown = sections(
         coefficients,
         Section("", "noise", (facts_table(_noise(cal)),)),
-        Section("Runs", "runs", (_runs(cal),)),
+        Section("Runs", "runs", (tables.runs_table(cal) if cal.runs else None,)),
         Section("Data", "quality", (tables.quality_table(cal.quality) if cal.quality.events else None,)),
         Section("Uncertainty budget", "budget", tables.budget_tables(cal) if sources else ()),
         *tables.comparison_sections(cal),
@@ -85,7 +115,7 @@ def page(cal: Calibration) -> Page:
         _page(cal, _sections(cal, shown)),
         kicker=f"piga · {'' if cal.direct else 'gyro '}accelerometer calibration",
         footer=f"Made by {cal.provenance.software} on {cal.provenance.created}. {ALONE}",
-        segments=tables.selectable_segments(cal),
+        segments=() if len(cal.segments) > _SELECTABLE else tuple(segment.label for segment in cal.segments),
     )
 
 
@@ -161,23 +191,15 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
     return tiles
 
 
-def _runs(cal: Calibration) -> Content:
-    return tables.runs_table(cal) if cal.runs else None
-
-
 def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]:
     if cal.given:
         return _coefficients(cal), _provenance(cal)
     return sections(
-        Section("Runs", "runs", (_RUNS, _runs(cal))),
+        Section("Runs", "runs", (_RUNS, tables.runs_table(cal) if cal.runs else None)),
         _coefficients(cal),
-        Section("Residuals against time", "residuals", (_RESIDUALS, shown.get("residuals", _MISSING))),
-        *([] if cal.direct else [_rotation(shown)]),
-        Section(
-            "Segments",
-            "segments",
-            (_SEGMENTS, shown.get("segments"), shown.get("creep"), tables.segment_table(cal)),
-        ),
+        Section("Residuals against time", "residuals", (shown.get("residuals", _MISSING),)),
+        *([] if cal.direct else [Section("Residuals against rotation", "rotation", _rotation(shown))]),
+        Section("Segments", "segments", (shown.get("segments"), shown.get("creep"), tables.segment_table(cal))),
         _budget(cal),
         _identifiability(cal, shown),
         *tables.comparison_sections(cal),
@@ -190,14 +212,7 @@ _RUNS = (
     "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
     "the others must."
 )
-_RESIDUALS = (
-    "What is left of the measured output when the model is taken away: what the calibration explains is gone after it, "
-    "and what it leaves should be noise."
-)
 _MISSING = Notice("info", "The residuals are not part of this record: run the calibration again to see them.")
-_SEGMENTS = (
-    "Residuals of each part of the record. Good: one level everywhere; an odd segment points to the test."
-)
 
 
 def _coefficients(cal: Calibration) -> Section:
@@ -210,15 +225,10 @@ def _coefficients(cal: Calibration) -> Section:
     return Section("Coefficients", "coefficients", (lead, tables.coefficient_table(cal), *correlation))
 
 
-def _rotation(shown: dict[str, Figure]) -> Section:
-    lead = (
-        "The same residuals against the rotation of the output: errors of the instrument repeat with the turn, noise "
-        "does not. Good: lines and lobes before calibration, none after."
-    )
+def _rotation(shown: dict[str, Figure]) -> tuple[Content, ...]:
     text = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    drawn: list[Content] = [shown[name] for name in ("orders", "ripple") if name in shown]
-    content = (lead, *(drawn or [Notice("info", text)]))
-    return Section("Residuals against rotation", "rotation", content)
+    drawn = tuple(shown[name] for name in ("orders", "ripple") if name in shown)
+    return drawn or (Notice("info", text),)
 
 
 def _budget(cal: Calibration) -> Section:
@@ -230,20 +240,19 @@ def _budget(cal: Calibration) -> Section:
         "Sensitivities: the change of each coefficient, in the unit of its column, for one unit of the source. "
         "Times the standard uncertainty of the source they are the contributions above."
     )
-    missing, warning = tables.source_tables(cal), None
-    if missing:
+    warning = None
+    if tables.unstated(cal):
         warning = (
-            f"{cal.verdict.sources}. The sources below exist on this stand, and nobody stated them: the change of each "
-            "coefficient for one unit. Add them to [uncertainty] in the run file, or waive them there with a reason."
+            f"{cal.verdict.sources}. The sources that are not stated exist on this stand: add them to [uncertainty] in the "
+            "run file, or waive them there with a reason."
         )
     elif cal.type_a_only:
         warning = f"{tables.sentence(NO_REFERENCE)}. Add an [uncertainty] table to the run file."
     content: tuple[Content, ...] = (
         lead,
-        *tables.budget_tables(cal),
+        *(tables.budget_tables(cal) if cal.budget else ()),
         *introduced(changes, *tables.sensitivity_tables(cal)),
         Notice("warning", warning) if warning else None,
-        *missing,
         Text(f"Local gravity of the reference: {pretty_unit(cal.gravity)}.") if cal.gravity else None,
     )
     return Section("Uncertainty budget", "budget", content)
@@ -275,19 +284,12 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
 
 
 def _noise(cal: Calibration) -> list[tuple[str, str]]:
-    per_turn, level = integral_unit(cal.unit), cal.segment_scatter
-    scatter = f"{short(level / cal.scale_factor_nominal / G0 * 1e6)} µg ({short(level)} {cal.unit})"
+    scatter = f"{short(cal.segment_scatter / cal.scale_factor_nominal / MICRO_G)} µg"
     white, unit, walk, slow = tables.shown_noise(cal, cal.angle_rms, cal.angle_random_walk)
-    raw = ("", "")
-    if not cal.direct:
-        raw = (
-            f" ({short(cal.angle_rms)} {per_turn})",
-            f" ({short(cal.angle_random_walk)} {per_turn}/√s)",
-        )
     return [
-        (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms{raw[0]}"),
-        ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}{raw[1]}"),
-        ("Scatter of the rate from segment to segment", scatter if level else "none seen"),
+        (f"White noise of the {'output' if cal.direct else 'angle'}", f"{white} {unit} rms"),
+        ("Random walk of the output" if cal.direct else "Angle random walk", f"{walk} {slow}"),
+        ("Scatter of the rate from segment to segment", scatter if cal.segment_scatter else "none seen"),
     ]
 
 
@@ -315,16 +317,14 @@ def _quality(cal: Calibration) -> Section:
     lead = (
         "What was found, repaired or left out while reading the data. Good: nothing, or little and explained."
     )
-    found: Content = Notice("good", "Nothing was found to repair or leave out.")
-    if cal.quality.events:
-        found = tables.quality_table(cal.quality)
-    elif cal.quality.masked:
-        found = Notice("info", f"{count(cal.quality.masked)} rows are masked and were not used.")
     read = {f"Run {run.name}": run.quality for run in cal.runs} or {"Record": cal.quality}
     rows = [
         (name, f"{count(rows.rows)} rows read, {count(rows.used)} used, {count(rows.masked)} masked")
         for name, rows in read.items()
     ]
+    found: Content = Notice("good", "Nothing was found to repair or leave out.")
+    if cal.quality.events or cal.quality.masked:
+        found = tables.quality_table(cal.quality) if cal.quality.events else None
     text = (
         "Samples of the output that do not lie on its path were left out; an increment reaches across a spike, "
         "none is formed across a jump."
@@ -341,3 +341,255 @@ def _provenance(cal: Calibration) -> Section:
     rows += [] if cal.direct or cal.given else [("Phase source", cal.phase_source)]
     rows += [(f"Option {name.replace('_', ' ')}", in_words(value)) for name, value in made.options.items()]
     return Section("Provenance", "provenance", (lead, facts_table(rows, code=True)))
+
+
+def outline(residuals: Residuals) -> Residuals:
+    """Rows that keep the envelope of the residuals against time; all of a short record."""
+    if residuals.t.size <= _SHOWN:
+        return residuals
+    ends = [row for part in segment_slices(residuals.segment) for row in (part.start, part.stop - 1)]
+    drawn = [envelope_rows(values, _OUTLINE) for values in (residuals.before, residuals.after)]
+    return _rows_of(residuals, np.unique(np.concatenate([ends, *drawn])))
+
+
+def _leading_part(residuals: Residuals) -> Residuals:
+    """The first samples of every segment, neighbours as in the record; all of a short record."""
+    if residuals.t.size <= _SHOWN:
+        return residuals
+    parts = segment_slices(residuals.segment)
+    share = max(_SHOWN // len(parts), 8)
+    rows = [np.arange(part.start, min(part.start + share, part.stop)) for part in parts]
+    return _rows_of(residuals, np.concatenate(rows))
+
+
+def _rows_of(residuals: Residuals, rows: NDArray[np.int64]) -> Residuals:
+    names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment", "run")
+    known = ((name, getattr(residuals, name)) for name in names)
+    return replace(residuals, **{name: values[rows] for name, values in known if values is not None})
+
+
+# -- residuals against time ----------------------------------------------------------------------------
+
+
+def residual_figure(
+    residuals: Residuals, quantity: tuple[str, str] = ("residual angle", "arcsec"), runs: Sequence[str] = ()
+) -> Figure:
+    """Residual (``quantity``: what and in which unit) against time, before and after; two panels for each of the ``runs``."""
+    per, shown = shown_output(residuals.unit)
+    quantity = quantity if per == ARCSEC else ("residual output", shown)
+    title = f"{quantity[0].capitalize()} against time."
+    plot = Plot("residual-time", title, columns=2 if runs else 1, height=2.1)
+    parts = [("", residuals)]
+    if residuals.run is not None:
+        parts = [
+            (f"{name}, ", _rows_of(residuals, np.flatnonzero(residuals.run == k)))
+            for k, name in enumerate(runs)
+        ]
+    for name, part in parts:
+        if part.t.size:
+            _draw_residuals(plot, name, part, quantity, per)
+    before = "Before: measured output less K a_x with the nominal K."
+    if per == ARCSEC:
+        before = "Before: measured angle less the nominal model without cross-coupling."
+    return plot.caption(
+        f"{before} After: less the fitted model. The scales differ. Good: a band of noise around zero, without waves, steps or "
+        "trends."
+    )
+
+
+def _draw_residuals(plot: Plot, name: str, residuals: Residuals, quantity: tuple[str, str], per: float) -> None:
+    """Draw before and after, broken between segments and at holes of more than ten usual steps."""
+    residuals = outline(residuals)
+    t = elapsed_time(residuals)
+    unit, scale = ("h", 3600.0) if t[-1] > 3 * 3600.0 else ("s", 1.0)
+    single = bool(np.diff(residuals.segment).all()) and np.unique(residuals.segment).size == t.size
+    steps = np.diff(t)
+    starts = (np.diff(residuals.segment) != 0) | (steps > 10.0 * np.median(steps) if steps.size else False)
+    ends = 1 + np.flatnonzero(starts)[: 0 if single else None]
+    kept, gaps = np.insert(np.arange(t.size), ends, ends - 1), ends + np.arange(ends.size)
+    segments = np.asarray(residuals.segment)[kept]
+    both: tuple[tuple[Role, Array], ...] = (("before", residuals.before), ("after", residuals.after))
+    for role, values in both:
+        y = np.asarray(values)[kept] / per
+        y[gaps] = np.nan
+        plot.panel(f"elapsed time [{unit}]", Axis(*quantity), f"{name}{role}" if name else role.capitalize())
+        plot.line(t[kept] / scale, y, role, mark="points" if single else "line", segments=segments)
+
+
+def elapsed_time(residuals: Residuals) -> Array:
+    """Time since the first sample [s]; segments whose clock starts again follow each other."""
+    t = np.array(residuals.t, dtype=float)
+    end = None
+    for part in segment_slices(residuals.segment):
+        if end is not None and t[part.start] < end:
+            t[part] += end - t[part.start]
+        end = t[part.stop - 1]
+    return t - t[0]
+
+
+# -- residuals against rotation ------------------------------------------------------------------------
+
+
+def _order_figure(cal: Calibration, angles: Residuals) -> Figure | None:
+    """Ripple amplitude against revolution order. Lines above the noise are named in the notes."""
+    spectrum = order_spectrum(angles, scale_factor(cal), (cal.angle_rms, cal.angle_random_walk))
+    if not spectrum.segments:
+        return None
+    order = spectrum.order
+    plot = Plot(
+        "residual-order", "Residual against revolution order.", "revolution order [cycles/rev]",
+        "log ripple amplitude [µg]", height=2.9,
+    )  # fmt: skip
+    plot.line(order, spectrum.before / MICRO_G, "before").line(order, spectrum.after / MICRO_G, "after")
+    plot.dashed(order, spectrum.noise / MICRO_G, "expected of the noise")
+    if np.any(spectrum.counts > 0.0):
+        shown = np.where(spectrum.counts > spectrum.noise, spectrum.counts, np.nan)
+        plot.marked(order, shown / MICRO_G, "expected of whole counts, where above the noise", "warning")
+    return plot.caption(
+        "Specific-force ripple that would leave these residuals, by how often it repeats in one turn of the output. Good: "
+        "after calibration no line stands out of what is expected. A line at a whole order is a harmonic that the model "
+        "lacks (order 1: cross-coupling; 2: servo stiffness, unequal inertia; others: encoder and bearings).",
+        *_order_lines(spectrum, cal),
+        f"From {_segments_that_turn(spectrum.segments)}.",
+    )
+
+
+def _order_lines(spectrum: OrderSpectrum, cal: Calibration) -> list[str]:
+    lines = []
+    for order, index, explained in spectrum.lines():
+        k = int(np.argmin(np.abs(spectrum.order - order)))
+        size = f"{spectrum.after[k] / spectrum.noise[k]:.1f} times the expected noise"
+        segment = cal.segments[index].label if index < len(cal.segments) else str(index)
+        words = "neither the noise nor whole counts explain it"
+        if explained:
+            words = "the beat of whole counts with the sampling makes it, not the instrument"
+        lines.append(f"Line at order {order:.3g}, {size}, most in segment {segment}: {words}.")
+    return lines
+
+
+def _ripple_figure(cal: Calibration, angles: Residuals) -> Figure | None:
+    """Ripple against output angle, before and after, each on its own scale."""
+    turned = ripple(angles, scale_factor(cal))
+    if not turned.segments:
+        return None
+    plot = Plot("ripple", "Ripple in one turn of the output.", columns=2, height=2.7)
+    angle = Axis("output angle ψ", "deg", limits=(0.0, 360.0))
+    scatter = turned.scatter / MICRO_G if np.isfinite(turned.scatter).all() and turned.scatter.size else None
+    both: tuple[tuple[Role, Array], ...] = (("before", turned.before), ("after", turned.after))
+    for role, values in both:
+        plot.panel(angle, "residual specific force [µg]", role.capitalize()).level([0.0, 360.0], 0.0)
+        plot.marked(np.degrees(turned.psi), values / MICRO_G, role, error=scatter if role == "after" else None)
+    scattered = (
+        "" if scatter is None else " Error bars: standard uncertainty from the scatter between segments."
+    )
+    return plot.caption(
+        "Residual specific force around the turn; the scales differ. Cross-coupling is one wave in the turn. Good: after "
+        "calibration only scatter around zero is left.",
+        f"Mean over {_segments_that_turn(turned.segments)}, each turned so that its own ripple before calibration points "
+        f"to ψ = 0.{scattered}",
+    )
+
+
+def _segments_that_turn(number: int) -> str:
+    return "the one segment that turns far enough" if number == 1 else f"{number} segments that turn far enough"
+
+
+# -- noise ---------------------------------------------------------------------------------------------
+
+
+def _allan_figure(cal: Calibration, residuals: Residuals) -> Figure | None:
+    """Overlapping Allan deviation with its 68 % band, and the noise found. ``residuals`` are angles [rad]."""
+    white, walk = cal.angle_rms, cal.angle_random_walk
+    noise = {2: 3.0 * white**2, 0: walk**2}
+    deviation = allan_deviation(residuals.after, residuals.t, _begins(residuals), noise=noise)
+    if deviation.tau.size < 2:
+        return None
+    named = {"quantisation": white, "random_walk": walk}
+    levels = [NoiseLevel(name, size, size, size) for name, size in named.items()]
+    plot = Plot("allan", "Allan deviation of the residual rate.", height=3.4)
+    return draw_deviations(plot, [deviation], levels, cal.unit).caption(
+        "Overlapping Allan deviation of what the calibration leaves, with its 68 % band; white noise of the output is the "
+        "quantisation Q. Stretches are pooled, not joined: nothing longer than a third of the longest one is seen. Good: the "
+        "curve follows the noise found; one that turns upwards shows a drift of the bias that was not found."
+    )
+
+
+def _begins(residuals: Residuals) -> NDArray[np.bool_]:
+    """True where a stretch begins: a new segment, or a step left by an increment that was not formed."""
+    begins = np.zeros(residuals.t.size, dtype=bool)
+    begins[0] = True
+    begins[1:] = np.diff(residuals.segment) != 0
+    begins[1:] |= (residuals.innovation[1:] == 0.0) & (np.diff(residuals.after) != 0.0)
+    return begins
+
+
+def _whiteness_figure(residuals: Residuals, verdict: str | None) -> Figure | None:
+    """Distribution and autocorrelation of the whitened residuals; ``verdict``: that of the tests of them."""
+    innovation = np.asarray(residuals.innovation, dtype=float)
+    innovation = innovation[np.isfinite(innovation)]
+    if not innovation.size:
+        return None
+    density, edges = np.histogram(innovation, bins=50, range=(-5.0, 5.0), density=True)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    normal = np.exp(-0.5 * centre**2) / math.sqrt(2.0 * math.pi)
+    products = lagged_products(innovation - innovation.mean(), min(_LAGS, max(innovation.size - 2, 0)))
+    lags, correlation = np.arange(1.0, products.size), products[1:] / (products[0] or 1.0)
+    bound = np.full(lags.size, 1.96 / math.sqrt(innovation.size))
+    plot = Plot("whiteness", "Whitened residuals.", columns=2, height=2.6)
+    plot.panel("whitened residual", "density", "Distribution")
+    plot.line(centre, density, "found", "after", mark="steps")
+    plot.dashed(centre, normal, "expected of pure noise")
+    plot.panel("lag [samples]", "autocorrelation", "Autocorrelation")
+    plot.band(lags, -bound, bound, "95 % of white noise", "reference").marked(
+        lags, correlation, "found", "after"
+    )
+    counted = "The output is read in whole counts: the distribution is flat, and rounding can correlate lags outside the band."
+    return plot.caption(
+        "Each residual divided by what the noise model expects of it. Good: the found distribution lies on the expected "
+        "one, and the autocorrelation stays inside its band.",
+        *((counted,) if verdict == COUNTED else ()),
+    )
+
+
+# -- segments and creep -----------------------------------------------------------------------------------
+
+
+def segment_figure(cal: Calibration) -> Figure | None:
+    """Residual rms of each segment against its mean specific force; None for a single segment."""
+    if len(cal.segments) < 2:
+        return None
+    a_x = np.array([segment.mean_a_x for segment in cal.segments]) / G0
+    rows = np.argsort(a_x, kind="stable")
+    labels = tuple(f"segment {cal.segments[row].label}" for row in rows)
+    (quantity, unit), per = residual_quantity(cal), shown_output(cal.residual_unit)[0]
+    before = np.array([segment.rms_before for segment in cal.segments])[rows] / per
+    after = np.array([segment.rms for segment in cal.segments])[rows] / per
+    plot = Plot(
+        "segment-rms", "Residual of each segment.", "mean specific force along the input axis [g]",
+        f"log {quantity}, rms [{unit}]", height=2.7,
+    )  # fmt: skip
+    plot.points(a_x[rows], before, "before", text=labels, segments=rows)
+    plot.points(a_x[rows], after, "after", text=labels, segments=rows)
+    return plot.caption(
+        "Each point is one segment. Good: all points after calibration lie at one level, whatever the "
+        "input; a level that rises with the input asks for another model term."
+    )
+
+
+def creep_figure(cal: Calibration) -> Figure | None:
+    """Residual rate against the time since the start of the position; None if creep was not tested."""
+    creep = cal.diagnostics.creep
+    if creep is None or not creep.time:
+        return None
+    t, mean, band = np.array(creep.time), 1e6 * np.array(creep.mean), 1e6 * np.array(creep.band)
+    plot = Plot(
+        "creep", "Residual after a move.", "time since the start of the position [s]",
+        "residual rate over K [µg]", height=2.7,
+    )  # fmt: skip
+    plot.band(t, -band, band, "95 % by the scatter of the positions", "reference")
+    plot.marked(t, mean, "mean over the positions", "after")
+    return plot.caption(
+        "Residual rate over K, less its mean in the position, stacked by the time since the start of the position. Good: all "
+        "points but one in twenty lie in the band. A curve that begins outside and comes back is a creep after each move: "
+        "leave out that time with settle in [data]."
+    )

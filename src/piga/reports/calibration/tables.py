@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import NO_REFERENCE, Amount, BudgetEntry, Coefficient
+from piga.records.calibration.coefficient import NO_REFERENCE, Amount, BudgetEntry, Coefficient, StandSource
 from piga.records.calibration.diagnostics import Grade, Quality
 from piga.records.terms import integral_unit, shown_unit, term_words
 from piga.reports.render.numbers import (
@@ -36,8 +36,6 @@ _ACROSS, _SHORT_ACROSS = 4, 6
 """Coefficients beside each other in a table of the page, so that they fit the screen and A4; in one of short numbers."""
 _NEGLIGIBLE = 1e-3
 """Contributions below this, in standard uncertainties of the coefficient, are not shown (0.0001 % of the variance)."""
-_SELECTABLE = 1000
-"""Most segments of a page on which the reader can select one."""
 TONES: dict[Grade, Tone] = {"clear": "good", "doubt": "doubtful", "do not use": "bad"}
 """Tone of each grade of a verdict."""
 
@@ -202,24 +200,12 @@ def shown_noise(cal: Calibration, white: float, walk: float) -> tuple[str, str, 
     return short(white / per), unit, short(walk / per), slow
 
 
-def shown_segments(cal: Calibration) -> list[int]:
-    """Indices of the segments that have a row of their own: all, or of very many those with the largest residuals."""
-    worst = sorted(range(len(cal.segments)), key=lambda index: -cal.segments[index].rms)
-    return sorted(worst[:_SEGMENTS])
-
-
-def selectable_segments(cal: Calibration) -> tuple[str, ...]:
-    """Names of the segments, if the reader can select one."""
-    return () if len(cal.segments) > _SELECTABLE else tuple(segment.label for segment in cal.segments)
-
-
 def segment_table(cal: Calibration) -> Table:
     """One row per segment; of very many the ones with the largest residuals."""
-    chosen = shown_segments(cal)
+    worst = sorted(range(len(cal.segments)), key=lambda index: -cal.segments[index].rms)
+    chosen = sorted(worst[:_SEGMENTS])
     shown = [cal.segments[index] for index in chosen]
-    notes: tuple[str, ...] = ()
-    if len(shown) < len(cal.segments):
-        notes = (f"The {_SEGMENTS} of {len(cal.segments)} segments with the largest residuals.",)
+    note = f"The {_SEGMENTS} of {len(cal.segments)} segments with the largest residuals."
     per, unit = shown_output(cal.residual_unit)
     phases = {c.owner: c for c in cal.coefficients if c.name == "phi" and c.segment is not None}
     typical = float(np.median([segment.rms for segment in shown])) if shown else 0.0
@@ -242,12 +228,15 @@ def segment_table(cal: Calibration) -> Table:
         .number("Largest after", lambda segment: short(segment.max_after / per), unit)
     )
     if phases:
-        shown_phases = {
-            label: rounded(c.value, c.std).concise if c.determined else "not determined"
-            for label, c in phases.items()
-        }
-        table.number("Phase φ", lambda segment: shown_phases.get(segment.label, "–"), "rad")
+        table.number("Phase φ", lambda segment: _phase(phases.get(segment.label)), "rad")
+    notes = (note,) if len(shown) < len(cal.segments) else ()
     return table.table(notes=notes, segments=tuple(chosen))
+
+
+def _phase(phi: Coefficient | None) -> str:
+    if phi is None:
+        return "–"
+    return rounded(phi.value, phi.std).concise if phi.determined else "not determined"
 
 
 def runs_table(cal: Calibration) -> Table:
@@ -369,27 +358,16 @@ DESCRIBED = 5
 """Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
 
 
-def _sources(cal: Calibration) -> list[BudgetEntry]:
-    """Rows of the budget; without one of Type A the standard uncertainties of the fit come first."""
-    if any(source.type == "A" for source in cal.budget):
-        return list(cal.budget)
-    fit = {coefficient.key: coefficient.std for coefficient in _shown_coefficients(cal)}
-    return [BudgetEntry(source="Fit to the record", type="A", distribution="", contributions=fit), *cal.budget]
-
-
 def _combined(cal: Calibration, coefficient: Coefficient) -> float:
-    return math.hypot(*(source.contribution(coefficient) for source in _sources(cal)))
+    return math.hypot(*(source.contribution(coefficient) for source in cal.budget))
 
 
 def budget_table(cal: Calibration) -> Table:
-    """Uncertainty budget: one row per source, one column per coefficient, combined at the end.
-
-    Without an entry of Type A the standard uncertainties of the fit are put first.
-    """
-    coefficients, sources = _shown_coefficients(cal), _sources(cal)
+    """Uncertainty budget: one row per source, one column per coefficient, combined at the end."""
+    coefficients = _shown_coefficients(cal)
     total = {c.key: _combined(cal, c) for c in coefficients}
     table = (
-        TableOf(sources)
+        TableOf(cal.budget)
         .text("Source", lambda row: row.source)
         .text("Type", lambda row: row.type)
         .text("Distribution", lambda row: row.distribution)
@@ -399,7 +377,7 @@ def budget_table(cal: Calibration) -> Table:
     _across_coefficients(table, cal, lambda row, c: _contribution(row.contribution(c), c, total[c.key]))
     note = "Sensitivity times standard uncertainty of the source, and its share of the combined variance."
     shown = table.table(notes=(note,))
-    if len(sources) < 2:
+    if len(cal.budget) < 2:
         return shown
     whole = [_contribution(total[c.key], c) for c in coefficients]
     return replace(shown, rows=(*shown.rows, ("Combined", "", "", "–", "", *whole)))
@@ -443,52 +421,32 @@ def budget_tables(cal: Calibration) -> tuple[Table, ...]:
 
 
 def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
-    """Change of each coefficient for one unit of a source; none when no source has a size (or in old files)."""
-    rows = [
-        (
-            row.source,
-            f"1 {pretty_unit(row.standard_uncertainty.unit)}".strip(),
-            {
-                c.key: row.sensitivities[c.key].value
-                for c in _shown_coefficients(cal)
-                if c.key in row.sensitivities and abs(row.contribution(c)) > _NEGLIGIBLE * c.std
-            },
-        )
-        for row in cal.budget
-        if row.sensitivities and row.standard_uncertainty
-    ]
-    return _change_tables(cal, "Source", rows)
-
-
-def source_tables(cal: Calibration) -> tuple[Table, ...]:
-    """The sources of the stand that nobody stated: the change of each coefficient for one unit. Empty if all are stated."""
-    limits = {c.key: _NEGLIGIBLE * c.std for c in _shown_coefficients(cal)}
-    rows = [
-        (
-            component,
-            f"1 {pretty_unit(source.unit)}" if source.effects else source.reason,
-            {key: effect for key, effect in effects.items() if abs(effect) > limits.get(key, math.inf)},
-        )
-        for source in cal.sources
-        if source.status in ("unstated", "assumed")
-        for component, effects in (source.effects or {source.name: {}}).items()
-    ]
-    return _change_tables(cal, "Source that is not stated", rows)
-
-
-def _change_tables(
-    cal: Calibration, heading: str, rows: list[tuple[str, str, dict[str, float]]]
-) -> tuple[Table, ...]:
-    """Tables of changes: source, for how much of it, and the change of each coefficient; none without rows."""
+    """Change of each coefficient for one unit of a source; at the end the sources of the stand that nobody stated."""
+    rows: list[tuple[str | Cell, str, float, dict[str, float]]] = []
+    for row in cal.budget:
+        if row.sensitivities and (u := row.standard_uncertainty):
+            effects = {key: one.value for key, one in row.sensitivities.items()}
+            rows.append((row.source, f"1 {pretty_unit(u.unit)}".strip(), u.value, effects))
+    for source in unstated(cal):
+        per = f"1 {pretty_unit(source.unit)}" if source.effects else source.reason
+        for name, effects in (source.effects or {source.name: {}}).items():
+            rows.append((Cell(f"{name}, not stated", "doubtful"), per, 1.0, effects))
     if not rows:
         return ()
 
-    def change(row: tuple[str, str, dict[str, float]], c: Coefficient) -> str | Cell:
-        known = c.key in row[2]
-        return short(row[2][c.key] * shown_unit(c.name, c.unit)[0], 3) if known else Cell("–", "quiet")
+    def change(row: tuple[str | Cell, str, float, dict[str, float]], c: Coefficient) -> str | Cell:
+        effect = row[3].get(c.key, 0.0)
+        if not abs(effect) * row[2] > _NEGLIGIBLE * c.std:
+            return Cell("–", "quiet")
+        return short(effect * shown_unit(c.name, c.unit)[0], 3)
 
-    table = TableOf(rows).text(heading, lambda row: row[0]).text("Change for", lambda row: row[1])
+    table = TableOf(rows).text("Source", lambda row: row[0]).text("Change for", lambda row: row[1])
     return _across_coefficients(table, cal, change).table().parts(2, _SHORT_ACROSS)
+
+
+def unstated(cal: Calibration) -> list[StandSource]:
+    """Sources of the stand that nobody stated."""
+    return [source for source in cal.sources if source.status in ("unstated", "assumed")]
 
 
 # -- comparison of term sets ---------------------------------------------------------------------------
@@ -503,15 +461,11 @@ def comparison_sections(cal: Calibration) -> tuple[Section, ...]:
         "Which terms the record asks for. Sets are compared with the same noise weights. A term that the record needs "
         "lowers BIC by much; one that it does not need raises it a little."
     )
-    shown = (Text(_comparison_words(document)), _comparison_table(document), _shift_table(document))
+    words = "The record determines none of the sets."
+    if document["best"] is not None:
+        words = f"Least BIC: {', '.join(document['best'])}."
+    shown = (Text(words), _comparison_table(document), _shift_table(document))
     return (Section("Model choice", "model-choice", (lead, *shown)),)
-
-
-def _comparison_words(document: dict[str, Any]) -> str:
-    """Result of the comparison, in words."""
-    if document["best"] is None:
-        return "The record determines none of the sets."
-    return f"Least BIC: {', '.join(document['best'])}."
 
 
 def _comparison_table(document: dict[str, Any]) -> Table:

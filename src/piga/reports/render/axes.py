@@ -10,7 +10,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from piga.reports.render.figure import LIGHT, Figure, Panel, Series, bar_width
+from piga.reports.render.figure import LIGHT, Figure, Panel, Series
 
 WIDTH = 7.2
 """Width of a figure [inch]: two columns of a journal."""
@@ -61,13 +61,16 @@ class Drawing(Canvas):
         return buffer.getvalue()
 
 
-_Place = Literal["outside upper left", "outside lower left"]
-
-
 def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
-    """Draw a figure, as :func:`piga.reports.draw`."""
+    """Draw a figure with Matplotlib. ``ax``: the axes to draw on, one for each panel; None: a new figure.
+
+    Raises
+    ------
+    ArgumentError
+        If the number of axes is not the number of panels.
+    """
     if ax is None:
-        drawing = _new(figure, legend="outside lower left")  # the title is above
+        drawing = _new(figure)
         drawing.suptitle(_words(figure.title, WIDTH * _LETTERS), fontsize=SMALL + 1.5, color=LIGHT["ink"])
         return drawing
     chosen = [ax] if isinstance(ax, Axes) else list(np.ravel(np.asarray(ax, dtype=object)))
@@ -88,7 +91,15 @@ def draw(figure: Figure, ax: Axes | Sequence[Axes] | None = None) -> Canvas:
 
 
 def write_figure(figure: Figure, path: Path, *, width: float = WIDTH, dpi: int = 300) -> Path:
-    """Write a figure, as :func:`piga.reports.write_figure`."""
+    """Write a figure as ``.svg``, ``.pdf`` or ``.png``, ``width`` [inch] wide. The same figure gives the same bytes.
+
+    ``dpi``: dots per inch of a ``.png``.
+
+    Raises
+    ------
+    ArgumentError
+        If the file name ends otherwise.
+    """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _NO_METADATA:
         raise ArgumentError(
@@ -111,8 +122,8 @@ def _saved(figure: Figure, kind: str, width: float, dpi: int) -> bytes:
     return buffer.getvalue()
 
 
-def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper left") -> Drawing:
-    """A new figure with a panel in each cell of its grid, and one legend above or below them."""
+def _new(figure: Figure, width: float = WIDTH) -> Drawing:
+    """A new figure with a panel in each cell of its grid, and one legend below them."""
     rows, columns = figure.grid
     drawing = Drawing(figsize=(width, rows * (figure.height + 0.2)), layout="constrained")
     drawing.caption = figure.caption
@@ -132,7 +143,12 @@ def _new(figure: Figure, width: float = WIDTH, legend: _Place = "outside upper l
         letters = max(len(name) for name in named) + 3
         across = max(1, min(len(named), int(width * _LETTERS / letters)))
         drawing.legend(
-            list(named.values()), list(named), loc=legend, ncols=across, fontsize=SMALL - 0.5, frameon=False
+            list(named.values()),
+            list(named),
+            loc="outside lower left",
+            ncols=across,
+            fontsize=SMALL - 0.5,
+            frameon=False,
         )
     return drawing
 
@@ -185,7 +201,7 @@ def _series(series: Series, axes: Axes) -> None:
     x, y = series.arrays()
     look: dict[str, Any] = {"color": LIGHT[series.role], "label": _words(series.name) or "_"}
     if series.mark == "bars":
-        axes.bar(x, y, width=bar_width(x), **look)
+        axes.bar(x, y, width=0.8 * min(np.diff(np.unique(x)), default=1.0), **look)
         return
     if series.mark == "band":
         axes.fill_between(x, y, np.asarray(series.upper, dtype=float), alpha=0.18, linewidth=0.0, **look)

@@ -15,7 +15,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
@@ -122,10 +121,6 @@ class Figure(Result, Plotted):
     height: float = 3.2
     notes: tuple[str, ...] = ()
 
-    def in_brief(self) -> list[tuple[str, str]]:
-        """Title, caption and axes."""
-        return [("title", self.title), ("caption", self.caption), ("panels", self.description)]
-
     def figure(self) -> Figure:
         """The figure itself."""
         return self
@@ -154,8 +149,9 @@ class Figure(Result, Plotted):
         return " ".join(parts)
 
 
-_WHOLE = ("mark", "dashed")
-"""Arguments of a curve that are not one for each point."""
+_THINNED = (
+    "Of a long curve the lowest and the highest of each stretch are drawn. Zooming in shows the same points."
+)
 
 
 class Plot:
@@ -192,6 +188,7 @@ class Plot:
     ) -> None:
         self._figure = Figure(key, title, (), columns=columns, height=height)
         self._panels: list[Panel] = []
+        self._thinned = False
         if x:
             self.panel(x, y)
 
@@ -204,9 +201,11 @@ class Plot:
         """Add a curve, a long one by its envelope; ``more`` as for :class:`Series`."""
         role = next((known for known in get_args(Role) if known == name), role)
         if np.size(y) > POINTS:
+            self._thinned = True
             kept = envelope_rows(y)
             x, y = np.asarray(x)[kept], np.asarray(y)[kept]
-            more = {key: value if key in _WHOLE else np.asarray(value)[kept] for key, value in more.items()}
+            each = {key for key in more if key not in ("mark", "dashed")}
+            more |= {key: np.asarray(more[key])[kept] for key in each}
         panel = self._panels[-1]
         self._panels[-1] = replace(panel, series=(*panel.series, Series(x, y, name, role=role, **more)))
         return self
@@ -236,6 +235,7 @@ class Plot:
 
     def caption(self, text: str, *notes: str) -> Figure:
         """The figure with its caption, and small print below."""
+        notes += (_THINNED,) * self._thinned
         return replace(self._figure, panels=tuple(self._panels), caption=text, notes=notes)
 
 
@@ -247,28 +247,17 @@ def envelope_rows(y: ArrayLike, limit: int = POINTS) -> NDArray[np.int64]:
     values = np.asarray(y)
     if values.size <= limit:
         return np.arange(values.size)
-    edges = np.linspace(0, values.size, (limit - 2) // 3 + 1).astype(np.int64)
-    kept = [0, values.size - 1]
-    for start, stop in pairwise(edges.tolist()):
-        kept += [start + row for row in _bucket_rows(values[start:stop])]
-    return np.unique(np.array(kept, dtype=np.int64))
-
-
-def _bucket_rows(values: NDArray[Any]) -> list[int]:
-    low, high = int(np.argmin(values)), int(np.argmax(values))
-    if np.isfinite(values[low]) and np.isfinite(values[high]):
-        return [low, high]
-    finite = np.flatnonzero(np.isfinite(values))
-    gap = int(np.argmin(np.isfinite(values)))
-    if finite.size == 0:
-        return [gap]
-    return [gap, int(finite[np.argmin(values[finite])]), int(finite[np.argmax(values[finite])])]
-
-
-def bar_width(x: ArrayLike) -> float:
-    """Width of the bars of a series: four fifths of the smallest distance."""
-    places = np.unique(np.asarray(x, dtype=float))
-    return 0.8 * float(np.diff(places).min()) if places.size > 1 else 0.8
+    rows, width = [0, values.size - 1], math.ceil(values.size / ((limit - 2) // 3))
+    for start in range(0, values.size, width):
+        part = values[start : start + width]
+        finite = np.isfinite(part)
+        ends = (
+            np.where(finite, part, np.inf).argmin(),
+            np.where(finite, part, -np.inf).argmax(),
+            finite.argmin(),
+        )
+        rows += [start + int(row) for row in ends]
+    return np.unique(np.array(rows, dtype=np.int64))
 
 
 _PALETTE: Final = {

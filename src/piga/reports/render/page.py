@@ -59,17 +59,12 @@ class Tile:
 
 @dataclass(frozen=True)
 class Text:
-    """Paragraphs of plain text, separated by blank lines. ``lead`` marks what the reader is to look for."""
+    """A paragraph of plain text. ``lead`` marks what the reader is to look for."""
 
     block: ClassVar = "text"
 
     text: str
     lead: bool = False
-
-    @property
-    def paragraphs(self) -> list[str]:
-        """The paragraphs in order."""
-        return [part.strip() for part in self.text.split("\n\n") if part.strip()]
 
 
 @dataclass(frozen=True)
@@ -347,7 +342,7 @@ def page_text(page: Page, *, width: int | None = None, plain: bool = True) -> st
 
 def _block_lines(block: Block, told: Callable[[str], str], width: int) -> list[str]:
     if isinstance(block, Text):
-        return [] if block.lead else [f"  {paragraph}" for paragraph in block.paragraphs]
+        return [] if block.lead else [f"  {block.text}"]
     if isinstance(block, Notice):
         return [{"warning": "remark: ", "problem": "problem: "}.get(block.kind, "") + block.text]
     if isinstance(block, FigureBlock):
@@ -381,8 +376,6 @@ def _table_lines(table: Table, told: Callable[[str], str], width: int) -> list[s
     left = {k for k, column in enumerate(table.columns) if column.align == "text"}
     last = len(heads) - 1
     lines = []
-    if last == 1 and 0 in left:
-        rows = _narrowed(rows, width, text=last in left)
     start = 2 + sum(max(len(row[k]) for row in rows) + 2 for k in range(last))
     for line in aligned(rows, left):
         whole = f"  {line}".rstrip()
@@ -391,17 +384,6 @@ def _table_lines(table: Table, told: Callable[[str], str], width: int) -> list[s
         else:
             lines.append(whole)
     return [f"{_WHOLE}{line}" for line in (lines if any(heads) else lines[1:])]
-
-
-def _narrowed(rows: list[list[str]], width: int, *, text: bool) -> list[list[str]]:
-    """Rows of two cells: the first goes on below itself where the second leaves too few letters. ``text``: so does the second."""
-    other = max(len(row[1]) for row in rows)
-    room = max(width - 4 - (min(other, width // 3) if text else other), width // 3)
-    narrow = []
-    for row in rows:
-        first, *more = wrapped(row[0], room - 2) if len(row[0]) > room else [row[0]]
-        narrow += [[first, row[1]], *([f"  {part}", ""] for part in more)]
-    return narrow
 
 
 def _wrapped(line: str, width: int) -> list[str]:
