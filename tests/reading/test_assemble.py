@@ -136,13 +136,6 @@ def test_unwrapping_gives_back_any_counter(tmp_path: Path, seed: int, bits: int)
     np.testing.assert_allclose(np.diff(run.output) / run.resolution, np.diff(counts), atol=1e-6)
 
 
-@pytest.mark.parametrize("limit", [None, 1.005])
-def test_a_reference_that_stays_at_a_limit_is_reported(tmp_path: Path, limit: float | None) -> None:
-    force = np.minimum(1.0 + 0.01 * np.sin(np.arange(400) / 30.0), limit or 2.0)
-    rows = [f"{i / 20.0:.2f},{round(10179.0 * i / 20.0)},{f:.6f},0.1,0.0" for i, f in enumerate(force)]
-    assert ("stuck-value" in events(read(tmp_path, rows))) == (limit is not None)
-
-
 def test_rows_are_left_out_with_their_reason(tmp_path: Path) -> None:
     whole = read(tmp_path, lines())
     left = 'leave_out = [{ rows = [10, 14], reason = "door slammed" }, { rows = [41, 41], reason = "end" }]'

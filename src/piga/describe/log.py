@@ -209,21 +209,15 @@ def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dic
 
 
 def _numbers_of(path: Path, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values and units of the columns that hold numbers. Those that a refusal names are read again, one by one."""
+    """Values and units of the columns that hold numbers, each read by itself: groups may differ in their length."""
     numbers: dict[str, Array] = {}
     units: dict[str, str] = {}
-    parts = [names]
-    for part in parts:  # grows in the loop
-        try:
-            stream = columns_stream(path, tuple(part))
-            numbers |= _collected(stream, tuple(part))[0]
+    for name in names:
+        with suppress(PigaError):
+            stream = columns_stream(path, (name,))
+            numbers |= _collected(stream, (name,))[0]
             units |= stream.units
-        except PigaError as error:
-            if len(part) > 1:
-                refused = [name for name in part if error.where is None or name in error.where.columns] or part
-                parts += [rest for rest in [[name for name in part if name not in refused]] if rest]
-                parts += [[name] for name in refused]
-    return {name: numbers[name] for name in names if name in numbers}, units
+    return numbers, units
 
 
 def _columns_in(path: Path) -> tuple[str, ...]:

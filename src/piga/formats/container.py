@@ -2,7 +2,7 @@
 
 A sheet (XLSX) is turned into lines of text and read as a text file is.
 
-HDF5 data, including MATLAB v7.3, are read only from the file itself and with built-in filters. No plug-in is ever loaded.
+HDF5 data, including MATLAB v7.3, are read only from the file itself.
 """
 
 from __future__ import annotations
@@ -77,9 +77,6 @@ def _library(path: Path, name: str, remedy: str) -> Iterator[None]:
         extra = EXTRAS[str(error.name).split(".")[0]]
         words = f"reading {name} needs the extra '{extra}', which is not installed"
         raise refusal(path, words, f"install it with: {install_command(extra)}") from None
-    except MemoryError:
-        words = "there is not enough memory to read it"
-        raise refusal(path, words, "the file is damaged, or export it as Parquet") from None
     except Exception as error:  # a damaged file can raise any exception in the library
         raise refusal(path, f"not a readable {name} file ({first_line(error)})", remedy) from None
 
@@ -171,8 +168,6 @@ class Container(TableStream):
 # -- HDF5 ----------------------------------------------------------------------------------------------
 
 _HDF5_MARK = b"\x89HDF\r\n\x1a\n"
-_PLAIN_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}
-"""Filters built into the HDF5 library."""
 _UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescription")
 """Attributes of an HDF5 dataset or a TDMS channel that state its unit."""
 
@@ -214,11 +209,6 @@ class Hdf5(Container):
         if item.is_virtual or item.external:
             remedy = "repack it into one file (h5repack)"
             raise self.refusal(f"the data of '{name}' lie in other files", remedy, name)
-        plan = item.id.get_create_plist()
-        strange = {plan.get_filter(index)[0] for index in range(plan.get_nfilters())} - set(_PLAIN_FILTERS)
-        if strange:
-            words = f"'{name}' is packed with filter {min(strange)}; only {', '.join(_PLAIN_FILTERS.values())} are read"
-            raise self.refusal(words, "repack it: h5repack -f GZIP=4", name)
         text = h5py.check_string_dtype(kind) is not None
         check_unpacked(self.path, int(item.size) * (max(kind.itemsize, 64) if text else kind.itemsize))
         if text:

@@ -38,8 +38,6 @@ _LOST_ANGLE, _LOST_SHARE = 0.1, 0.01
 """Angle [rad] and share of the turn in a gap by which the output may differ from the rates on both sides (coupling, noise)."""
 _LEAST_TURN = 0.5
 """Angle [rad] by which the output turns beside a short gap, so that its rate there is known (own choice)."""
-_STUCK = 8
-"""Fewest equal extreme values in a row that are reported (own choice)."""
 _WHOLE = 1e-9
 """Tolerance [rev] of the test for whole turns. A range in units such as mrad is never exactly whole."""
 
@@ -135,10 +133,7 @@ def _used_rows(raw: RawColumns, data: DataTable) -> Array:
         raw.usable &= np.isfinite(values)
     if not any(event.kind in ("missing-value", "no-segment", "moving") for event in raw.events):
         raw.note("not-finite", ~raw.usable, "the row is not used")
-    limits = data.range or {}
-    for name in data.reference.columns if data.reference else ():
-        _note_stuck(raw, name, limits.get(name, (-np.inf, np.inf)))
-    for name, (low, high) in limits.items():
+    for name, (low, high) in (data.range or {}).items():
         out = (raw.numbers[name] <= low) | (raw.numbers[name] >= high)
         detail = f"column '{name}' at or beyond {low:g} to {high:g}: the row is not used"
         raw.leave_out("saturated", out, detail)
@@ -296,15 +291,6 @@ def _split_lost(
 # -- checks -------------------------------------------------------------------------------------------------
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    if not edges.size:
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    longest = int(np.argmax(lengths))
-    return int(edges[2 * longest]), int(lengths[longest])
-
-
 def _leave_out_repeats(raw: RawColumns, t: Array) -> None:
     """Do not use rows with a repeated time (n,): the second of two identical rows, both of two conflicting rows."""
     index = np.flatnonzero(raw.usable)
@@ -315,23 +301,6 @@ def _leave_out_repeats(raw: RawColumns, t: Array) -> None:
     raw.usable[first[~identical]] = False
     raw.note("repeated-row", second[identical], "the copy is not used")
     raw.note("conflicting-row", second[~identical], "same time, other values: neither is used")
-
-
-def _note_stuck(raw: RawColumns, name: str, limits: tuple[float, float]) -> None:
-    """Report runs of the largest or smallest value in a reference column that otherwise changes all the time.
-
-    A run at or beyond the declared ``limits`` is not reported: it counts as saturated.
-    """
-    values = raw.numbers[name]
-    finite = np.isfinite(values)
-    good = values if finite.all() else values[finite]  # a long column is not copied for nothing
-    if good.size < 4 * _STUCK or np.count_nonzero(good[1:] != good[:-1]) < 0.5 * good.size:
-        return
-    for word, extreme in (("largest", float(good.max())), ("smallest", float(good.min()))):
-        start, length = _longest_run(values == extreme)
-        if length >= _STUCK and limits[0] < extreme < limits[1]:
-            detail = f"column '{name}' stays at its {word} value {extreme:g}: saturated? give its limits in [data] range"
-            raw.note("stuck-value", np.arange(start, start + length), detail)
 
 
 def _note_sequence(raw: RawColumns, number: Array, wraps_at: int | None, begins: NDArray[np.bool_]) -> None:
