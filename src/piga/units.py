@@ -80,7 +80,8 @@ _ALIASES = {
     "度/秒": "deg/s", "个": "count", "脉冲": "count", "Imp": "count", "imp": "count", "Impulse": "count", "Inkr": "count",
     "pulses": "count", "pulse": "count", "impulsions": "count", "LSB": "count",
 }  # fmt: skip
-_TOKEN = re.compile(r"\s*(sqrt|[A-Za-z%µμ°′″℃][A-Za-z%]*|1|[*/()^·]|-?[0-9]+(?:\.[0-9]+)?)")
+_FACTOR = re.compile(r"\s*([*/·]?)\s*([A-Za-z%µμ°′″℃][A-Za-z%]*|1|#[0-9]+)\s*(?:\^\s*(-?[0-9]+(?:\.[0-9]+)?))?")
+_INNER = re.compile(r"((?<![A-Za-z%µμ°′″℃])sqrt)?\s*\(([^()]*)\)")
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9.]*,[0-9]")
 _QUANTITY = re.compile(r"^\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$")
 
@@ -89,7 +90,7 @@ _OF_NUMBER = re.compile(rf"(?<=[0-9)]) (?=(?:u|sqrt|{'|'.join(map(re.escape, _AT
 """The space between a number and its unit, or the u of an uncertainty."""
 _UNIT_REMEDY = f"use one of: {' '.join(_ATOMS)}; combine with * / ^ sqrt()"
 _MOST_LETTERS = 200
-"""Characters of a unit: parentheses are read by recursion."""
+"""Most characters of a unit."""
 LARGEST = 1e100
 """Largest number of any quantity: squares of it, and products with units, stay finite."""
 
@@ -110,45 +111,20 @@ _Size = tuple[float, tuple[float, ...]]
 """SI value and powers of the base units."""
 
 
-def _tokens(text: str) -> list[str]:
-    """Words, numbers and signs of a unit."""
-    tokens, position = [], 0
-    while match := _TOKEN.match(text, position):
-        tokens.append(match.group(1))
-        position = match.end()
-    if position < len(text):
-        raise UnitError(f"unit '{text}' cannot be read at '{text[position:].strip()}'", remedy=_UNIT_REMEDY)
-    return tokens
-
-
-def _product(tokens: list[str]) -> _Size:
-    """Factors with ``*``, ``/`` or a blank between them, taken from the left of ``tokens``."""
-    factor, dimension = _power(tokens)
-    while tokens and tokens[0] != ")":
-        operator = tokens.pop(0) if tokens[0] in ("*", "/", "·") else "*"
-        next_factor, next_dimension = _power(tokens)
-        sign = -1.0 if operator == "/" else 1.0
-        factor *= next_factor**sign
-        dimension = tuple(a + sign * b for a, b in zip(dimension, next_dimension, strict=True))
-    return factor, dimension
-
-
-def _power(tokens: list[str]) -> _Size:
-    """One factor with its ``^power``: a unit, or a product in parentheses, also after ``sqrt``."""
-    root = tokens[0] == "sqrt" and len(tokens) > 1 and tokens[1] == "("
-    if root or tokens[0] == "(":
-        del tokens[: 2 if root else 1]
-        factor, dimension = _product(tokens)
-        del tokens[0]  # the parenthesis at its end
-        if root:
-            factor, dimension = math.sqrt(factor), tuple(d / 2 for d in dimension)
-    else:
-        factor, dimension = _ATOMS[_ALIASES.get(tokens[0], tokens[0])]
-        del tokens[0]
-    if tokens[:1] == ["^"]:
-        exponent = float(tokens[1])
-        del tokens[:2]
-        factor, dimension = factor**exponent, tuple(exponent * d for d in dimension)
+def _product(text: str, inner: list[_Size]) -> _Size:
+    """Factors with ``*``, ``/`` or a blank between them, each with its ``^power``; ``#2`` stands for ``inner[2]``."""
+    factor, dimension, at = 1.0, _DIMENSIONLESS, 0
+    while match := _FACTOR.match(text, at):
+        operator, name, power = match.groups()
+        if operator and at == 0:
+            break
+        size, powers = inner[int(name[1:])] if name[0] == "#" else _ATOMS[_ALIASES.get(name, name)]
+        exponent, sign = float(power or 1.0), -1.0 if operator == "/" else 1.0
+        factor *= (size**exponent) ** sign
+        dimension = tuple(a + sign * exponent * b for a, b in zip(dimension, powers, strict=True))
+        at = match.end()
+    if at == 0 or text[at:].strip():
+        raise ValueError(text[at:].strip())
     return factor, dimension
 
 
@@ -166,20 +142,21 @@ def parse_unit(text: str) -> Unit:
         raise UnitError("a unit is missing", remedy="write the unit, e.g. 'rad/s', or '1' for a plain number")
     if len(stripped) > _MOST_LETTERS:
         raise UnitError(f"unit '{stripped[:40]}...' has {len(stripped)} characters", remedy="e.g. 'rad/s/g'")
-    tokens = _tokens(stripped)
+    rest, inner = stripped, list[_Size]()
     try:
-        factor, dimension = _product(tokens)
+        while match := _INNER.search(rest):  # what stands in parentheses
+            size, powers = _product(match[2], inner)
+            inner.append((math.sqrt(size), tuple(p / 2 for p in powers)) if match[1] else (size, powers))
+            rest = f"{rest[: match.start()]} #{len(inner) - 1} {rest[match.end() :]}"
+        factor, dimension = _product(rest, inner)
     except KeyError as error:
         raise UnitError(f"unknown unit {error} in '{text}'", remedy=_UNIT_REMEDY) from None
-    except (IndexError, ValueError):
-        where = f"'{' '.join(tokens)}'" if tokens else "its end"
-        raise UnitError(f"unit '{text}' cannot be read at {where}", remedy=_UNIT_REMEDY) from None
-    except ArithmeticError:
+    except ValueError as error:
+        raise UnitError(f"unit '{text}' cannot be read at '{error}'", remedy=_UNIT_REMEDY) from None
+    except (ArithmeticError, IndexError):
         factor, dimension = math.nan, _DIMENSIONLESS
     if not (0.0 < factor < math.inf and all(map(math.isfinite, dimension))):
         raise UnitError(f"unit '{text}' is too large or too small to compute with", remedy="e.g. 'rad/s/g'")
-    if tokens:
-        raise UnitError(f"unit '{text}' cannot be read at '{tokens[0]}'", remedy=_UNIT_REMEDY)
     return Unit(stripped, factor, dimension)
 
 
