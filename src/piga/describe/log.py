@@ -287,15 +287,17 @@ def text_layout(path: Path) -> TextLayout:
 
 
 def _sheet_layout(path: Path) -> TextLayout:
-    names: list[str | None] = [None]
+    sheets: dict[str | None, Sheet] = {}
     try:
-        Sheet(path)
+        sheets[None] = Sheet(path)
     except DataError as error:
-        names = [fix.value for fix in error.fixes] or names
+        sheets = {fix.value: Sheet(path, fix.value) for fix in error.fixes}
+        if not sheets:
+            raise
     layouts = {}
-    for name in names:
-        with suppress(DataError) if len(names) > 1 else nullcontext():  # another sheet has the table
-            layouts[name] = _layout(Sheet(path, name).head.decode(), path, "utf-8", "\t")
+    for name, sheet in sheets.items():
+        with suppress(DataError) if len(sheets) > 1 else nullcontext():  # another sheet has the table
+            layouts[name] = _layout(sheet.head.decode(), path, "utf-8", "\t")
     if not layouts:
         remedy = "check that this is the log"
         raise DataError(f"{path}: no sheet has a table of numbers", remedy=remedy)
@@ -304,8 +306,8 @@ def _sheet_layout(path: Path) -> TextLayout:
     facts = layouts[best].facts
     if best is not None:
         why, others = (
-            f"the sheet with the most known names of {len(names)}",
-            tuple(one for one in names if one != best),
+            f"the sheet with the most known names of {len(sheets)}",
+            tuple(one for one in sheets if one != best),
         )
         facts["data.sheet"] = Guess(best, why, others)
     options = replace(layouts[best].options, sheet=best)
