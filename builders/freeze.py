@@ -66,10 +66,9 @@ CASES: dict[str, list[str]] = {
     "plan": ["plan examples/plan-dividing-head.toml --out p"],
     "reproduce": ["reproduce"],
     "terms": ["terms"],
-    "methods": ["methods"],
     **{
         f"platform-{task}-{name}": [f"platform {task} {EXAMPLE_OF_PLATFORM.replace('*', name)} --out p"]
-        for task in ("simulate", "align", "identify", "navigate", "compare")
+        for task in ("simulate", "align", "identify", "compare")
         for name in ("published", "piga", "moving", "wobble")
         if (task, name) != ("align", "moving")
     },

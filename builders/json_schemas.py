@@ -27,7 +27,6 @@ MAPS = {
     "noise": ("input_sha256",),
     "plan": ("standard_uncertainty", "wanted"),
     "platform-compare": ("models", "theory"),
-    "platform-navigate": ("models",),
     "records-add": ("request", "software"),
     "records-diff": ("facts",),
     "records-list": ("request", "software"),

@@ -27,7 +27,7 @@ NAMES = ("a.txt", "b.txt", "figures/*")
 def fill(
     folder: Path, text: str, names: tuple[str, ...] = ("a.txt", "b.txt", "figures/c.txt"), **more: object
 ) -> None:
-    with results(folder, "test", NAMES, (), **{"force": False} | more) as (stage, _):  # type: ignore[arg-type]
+    with results(folder, "test", NAMES, (), **{"force": False} | more) as (stage, *_):  # type: ignore[arg-type]
         for name in names:
             (stage / name).parent.mkdir(exist_ok=True)
             (stage / name).write_text(text)
@@ -96,9 +96,11 @@ def test_results_of_the_same_command_and_inputs_are_replaced_others_go_beside(tm
     fill(out, "four")
     assert (out / "b.txt").read_text() == "edited by hand"
     assert held(out / "2") == {"a.txt": "four", "b.txt": "four", "figures/c.txt": "four"}
-    with results(out, "test", NAMES, (tmp_path / "other.toml",)) as (stage, _):
-        (stage / "a.txt").write_text("other")
-    assert held(out / "3") == {"a.txt": "other"}
+    for inputs, options, place in (((tmp_path / "other.toml",), (), "3"), ((), ("terms=k0",), "4")):
+        with results(out, "test", NAMES, inputs, options=options) as (stage, _, why):
+            (stage / "a.txt").write_text("other")
+        assert why == "results of other options or inputs"
+        assert held(out / place) == {"a.txt": "other"}
     fill(out, "five", force=True)
     assert (out / "b.txt").read_text() == "five"
     assert held(out / "2")["b.txt"] == "four"
@@ -142,7 +144,7 @@ def test_a_folder_in_place_of_a_result(tmp_path: Path, name: str) -> None:
 def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "out"
     for there in (False, True):
-        with pytest.raises(ZeroDivisionError), results(out, "test", NAMES, (), force=False) as (stage, _):
+        with pytest.raises(ZeroDivisionError), results(out, "test", NAMES, (), force=False) as (stage, *_):
             (stage / "a.txt").write_text(str(1 / 0))
         assert out.exists() == there
         assert not list(tmp_path.rglob(".piga*")) + list(tmp_path.rglob("a.txt"))
@@ -201,7 +203,7 @@ from pathlib import Path
 from piga.output import results
 print("begun", flush=True)
 for k in range(100000):
-    with results(Path({out!r}), "test", {names!r}, (), force=True) as (stage, _):
+    with results(Path({out!r}), "test", {names!r}, (), force=True) as (stage, *_):
         (stage / "figures").mkdir()
         for name in ("a.txt", "b.txt", "figures/c.txt"):
             (stage / name).write_text(f"{tag}-{{k}}" * 2000)

@@ -32,7 +32,6 @@ from piga.platform.scenario import ScenarioFile
 from piga.records.run_file import RunFile
 from piga.records.terms import TERM_WORDS, UNITS
 from piga.stand.scenario import ScenarioTable
-from piga.terms import METHOD_WORDS
 from piga.text_files import si_unit, structs_in
 
 EXAMPLES = Path(__file__).parents[1] / "reference" / "examples"
@@ -63,7 +62,6 @@ def write_pages(folder: Path) -> None:
         "cli": cli_page(),
         "json": json_page(),
         "terms": terms_page(),
-        "methods": methods_page(),
         "rooms": rooms_page(),
     }
     pages = api_pages() | own | file_pages()
@@ -325,13 +323,6 @@ def terms_page() -> str:
         "[sources](../../references.md), [servo](../../understanding/servo.md). It decides nothing."
     )
     return f"# Terms of the error model\n\n{lead}\n\n" + "\n".join(rows) + "\n"
-
-
-def methods_page() -> str:
-    """Every method, from the words that ``piga methods`` prints."""
-    rows = ["| method | what it is | use it |", "|---|---|---|"]
-    rows += [f"| `{name}` | {cell(what)} | {cell(use)} |" for name, (what, use) in METHOD_WORDS.items()]
-    return "# Methods of a calibration\n\n`piga methods` prints this table.\n\n" + "\n".join(rows) + "\n"
 
 
 # --- schemas -------------------------------------------------------------------------------------------

@@ -83,22 +83,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from piga import upper
-from piga._version import __version__
-from piga.errors import (
-    ArgumentError,
-    CalibrationError,
-    CalibrationWarning,
-    CancelledError,
-    DataError,
-    IdentifiabilityError,
-    MissingPackageError,
-    PigaError,
-    PigaWarning,
-    RunFileError,
-    StoreError,
-    UnitError,
-    missing_package,
-)
+from piga._version import __version__ as __version__
+from piga.errors import missing_package
 
 if TYPE_CHECKING:
     from piga import calibration as calibration
@@ -116,82 +102,83 @@ if TYPE_CHECKING:
     from piga import stand as stand
     from piga import studies as studies
     from piga import trend as trend
-    from piga.calibration import RunSummary, compare_models
-    from piga.calibration.calibrate import calibrate
-    from piga.compensation import (
-        Compensated,
-        CompensatedSet,
-        Compensator,
-        Limits,
-        Mounted,
-        Phase,
-        compensate,
-        compensate_set,
-        identify_phase,
-    )
-    from piga.gravity_norm import calibrate_set
-    from piga.instrument import ErrorModel, Instrument, closed_form, mean_rate, propagate, regime
-    from piga.ledger.store import open_store
-    from piga.noise import allan_deviation, analyse_noise
-    from piga.planning import plan_test, read_plan
-    from piga.records import Calibration, Coefficient, Residuals, Run
-    from piga.stand import example_run, read_run, read_scenario, run_scenario, simulate_test
-    from piga.trend import find_trend
+    from piga.calibration import RunSummary as RunSummary
+    from piga.calibration import compare_models as compare_models
+    from piga.calibration.calibrate import calibrate as calibrate
+    from piga.compensation import Compensated as Compensated
+    from piga.compensation import CompensatedSet as CompensatedSet
+    from piga.compensation import Compensator as Compensator
+    from piga.compensation import Limits as Limits
+    from piga.compensation import Mounted as Mounted
+    from piga.compensation import Phase as Phase
+    from piga.compensation import compensate as compensate
+    from piga.compensation import compensate_set as compensate_set
+    from piga.compensation import identify_phase as identify_phase
+    from piga.errors import ArgumentError as ArgumentError
+    from piga.errors import CalibrationError as CalibrationError
+    from piga.errors import CalibrationWarning as CalibrationWarning
+    from piga.errors import CancelledError as CancelledError
+    from piga.errors import DataError as DataError
+    from piga.errors import IdentifiabilityError as IdentifiabilityError
+    from piga.errors import MissingPackageError as MissingPackageError
+    from piga.errors import PigaError as PigaError
+    from piga.errors import PigaWarning as PigaWarning
+    from piga.errors import RunFileError as RunFileError
+    from piga.errors import StoreError as StoreError
+    from piga.errors import UnitError as UnitError
+    from piga.gravity_norm import calibrate_set as calibrate_set
+    from piga.instrument import ErrorModel as ErrorModel
+    from piga.instrument import Instrument as Instrument
+    from piga.instrument import closed_form as closed_form
+    from piga.instrument import mean_rate as mean_rate
+    from piga.instrument import propagate as propagate
+    from piga.instrument import regime as regime
+    from piga.ledger.store import open_store as open_store
+    from piga.noise import allan_deviation as allan_deviation
+    from piga.noise import analyse_noise as analyse_noise
+    from piga.planning import plan_test as plan_test
+    from piga.planning import read_plan as read_plan
+    from piga.records import Calibration as Calibration
+    from piga.records import Coefficient as Coefficient
+    from piga.records import Residuals as Residuals
+    from piga.records import Run as Run
+    from piga.stand import example_run as example_run
+    from piga.stand import read_run as read_run
+    from piga.stand import read_scenario as read_scenario
+    from piga.stand import run_scenario as run_scenario
+    from piga.stand import simulate_test as simulate_test
+    from piga.trend import find_trend as find_trend
 
-_LAZY = {
-    name: f"piga.{room}"
-    for room, names in {
-        "calibration": "RunSummary compare_models",
-        "calibration.calibrate": "calibrate",
-        "compensation": "Compensated CompensatedSet Compensator Limits Mounted Phase compensate "
-        "compensate_set identify_phase",
-        "gravity_norm": "calibrate_set",
-        "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
-        "ledger.store": "open_store",
-        "noise": "allan_deviation analyse_noise",
-        "planning": "plan_test read_plan",
-        "records": "Calibration Coefficient Residuals Run",
-        "stand": "example_run read_run read_scenario run_scenario simulate_test",
-        "trend": "find_trend",
-    }.items()
-    for name in names.split()
+_NAMES = {
+    "calibration": "RunSummary compare_models",
+    "calibration.calibrate": "calibrate",
+    "campaign": "",
+    "certificate": "",
+    "compensation": "Compensated CompensatedSet Compensator Limits Mounted Phase compensate compensate_set identify_phase",
+    "errors": "ArgumentError CalibrationError CalibrationWarning CancelledError DataError IdentifiabilityError "
+    "MissingPackageError PigaError PigaWarning RunFileError StoreError UnitError",
+    "gravity_norm": "calibrate_set",
+    "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
+    "ledger": "",
+    "ledger.store": "open_store",
+    "noise": "allan_deviation analyse_noise",
+    "planning": "plan_test read_plan",
+    "platform": "",
+    "records": "Calibration Coefficient Residuals Run",
+    "reports": "",
+    "stand": "example_run read_run read_scenario run_scenario simulate_test",
+    "studies": "",
+    "trend": "find_trend",
 }
-"""The room of each public name."""
-
-ROOMS = (
-    "calibration",
-    "campaign",
-    "certificate",
-    "compensation",
-    "gravity_norm",
-    "instrument",
-    "ledger",
-    "noise",
-    "planning",
-    "platform",
-    "records",
-    "reports",
-    "stand",
-    "studies",
-    "trend",
-)
+"""The rooms, with their public names that are public here too."""
+_LAZY = {name: f"piga.{room}" for room, names in _NAMES.items() for name in names.split()}
+ROOMS = tuple(room for room in _NAMES if "." not in room and room != "errors")
 """Rooms with further public names; ``piga.platform`` is imported on first use."""
-
 _NEEDS = {
-    "example_run": "pyarrow",
-    "allan_deviation": "scipy",
-    "analyse_noise": "scipy",
-    "calibrate": "scipy",
-    "calibrate_set": "scipy",
-    "compare_models": "scipy",
-    "find_trend": "scipy",
-    "plan_test": "scipy",
-    "read_plan": "scipy",
-    "read_run": "pyarrow",
-    "read_scenario": "pyarrow",
-    "run_scenario": "pyarrow",
+    "scipy": "allan_deviation analyse_noise calibrate calibrate_set compare_models find_trend plan_test read_plan",
+    "pyarrow": "example_run read_run read_scenario run_scenario",
 }
-"""Packages beyond the small core that a public name cannot do without."""
+"""Public names that cannot do without a package beyond the small core."""
 
 
 def _doors() -> ModuleType:
@@ -203,62 +190,15 @@ def _doors() -> ModuleType:
 
 upper.HANDED[:] = [_doors]
 
-__all__ = [
-    "ArgumentError",
-    "Calibration",
-    "CalibrationError",
-    "CalibrationWarning",
-    "CancelledError",
-    "Coefficient",
-    "Compensated",
-    "CompensatedSet",
-    "Compensator",
-    "DataError",
-    "ErrorModel",
-    "IdentifiabilityError",
-    "Instrument",
-    "Limits",
-    "MissingPackageError",
-    "Mounted",
-    "Phase",
-    "PigaError",
-    "PigaWarning",
-    "Residuals",
-    "Run",
-    "RunFileError",
-    "RunSummary",
-    "StoreError",
-    "UnitError",
-    "__version__",
-    "allan_deviation",
-    "analyse_noise",
-    "calibrate",
-    "calibrate_set",
-    "closed_form",
-    "compare_models",
-    "compensate",
-    "compensate_set",
-    "example_run",
-    "find_trend",
-    "identify_phase",
-    "mean_rate",
-    "open_store",
-    "plan_test",
-    "propagate",
-    "read_plan",
-    "read_run",
-    "read_scenario",
-    "regime",
-    "run_scenario",
-    "simulate_test",
-]
+__all__ = list(_LAZY)
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its room on first use: ``import piga`` itself stays light."""
     if name in _LAZY:
-        if name in _NEEDS and find_spec(_NEEDS[name]) is None:
-            raise missing_package(_NEEDS[name])
+        for package, names in _NEEDS.items():
+            if name in names.split() and find_spec(package) is None:
+                raise missing_package(package)
         return getattr(import_module(_LAZY[name]), name)
     if name in ROOMS:
         return import_module(f"piga.{name}")

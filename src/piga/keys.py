@@ -89,7 +89,11 @@ def _below(file: str, struct: Any, path: str, depth: int) -> Iterator[KeyPlace]:
         where = f"{path}{entry.encode_name}"
         words = words_of(struct, entry.encode_name)
         yield KeyPlace(file, where, _type_words(entry.type), _default(entry), words)
-        for part in structs_in(entry.type) if depth < _MOST_PARTS else ():
+        parts = structs_in(entry.type) if depth < _MOST_PARTS else []
+        kinds = [f'"{part.__struct_config__.tag}"' for part in parts if part.__struct_config__.tag]
+        if kinds:
+            yield KeyPlace(file, f"{where}.kind", " | ".join(kinds), "needed", words_of(parts[0], "kind"))
+        for part in parts:
             yield from _below(file, part, f"{where}.", depth + 1)
 
 
@@ -137,11 +141,14 @@ def _type_words(annotation: Any) -> str:
     return "list" if is_tuple else _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
 
 
-def check_setting(key: str) -> None:
-    """Refuse a key that no run file has. The tables of a stand are those of a scenario."""
+def check_setting(key: str, value: Any) -> None:
+    """Refuse a key that no run file has, and a value that is not of its list. The tables of a stand are those of a scenario."""
     stand = [place for place in places_of("scenario") if place.path.startswith("stand")]
-    kinds = {place.path: place.kind for place in (*places_of("run"), *stand)} | {"stand.kind": "text"}
+    kinds = {place.path: place.kind for place in (*places_of("run"), *stand)}
     above = [kinds.get(key[: at.start()], "") for at in re.finditer(r"\.", key)]
+    choices = [word.strip('"') for word in kinds.get(key, "").split(" | ")]
+    if kinds.get(key, "").startswith('"') and value not in choices:
+        raise ArgumentError(f"--set {key}: {value!r} is not known", remedy=f"one of: {', '.join(choices)}")
     if key in kinds or re.search(r"any value|each key|list", " ".join(above)):
         return
     beside = [path for path in kinds if path.rpartition(".")[0] == key.rpartition(".")[0]]

@@ -111,13 +111,13 @@ def _sync(path: Path) -> None:
 
 def _free_folder(
     folder: Path, command: str, key: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool
-) -> Path:
-    """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free.
+) -> tuple[Path, str]:
+    """``folder``, or the first of ``folder/2``, ``folder/3`` ... that is free, and what ``folder`` then holds.
 
-    A folder is free if it holds none of the ``names``, or only unchanged results of the same command and the same inputs, or
+    A folder is free if it holds none of the ``names``, or only unchanged results of the same command, options and inputs, or
     with ``force``. An input is recognised under any name, and never replaced.
     """
-    sources = [path for path in inputs if path.exists()]
+    sources, why = [path for path in inputs if path.exists()], ""
     for place in (folder if number == 1 else folder / str(number) for number in count(1)):
         if place.exists() and not place.is_dir():
             raise ArgumentError(f"{place}: is a file", remedy="choose another folder")
@@ -131,11 +131,19 @@ def _free_folder(
                 f"{same[0][0]}: is the input {same[0][1]}: it would be replaced by the result",
                 remedy="choose another name or folder, or leave --force out",
             )
-        mark = _read_mark(place / f"{_MARK}{command}.json", key)
-        ours = (mark.get(path.relative_to(place).as_posix()) == _state(path) for path in there)
+        mark = _read_mark(place / f"{_MARK}{command}.json")
+        files = mark.get("files", {}) if mark.get("key") == key else {}
+        ours = (files.get(path.relative_to(place).as_posix()) == _state(path) for path in there)
         if force or (not same and not any(map(Path.is_symlink, there)) and all(ours)):
             break
-    return place
+        if not why:
+            changed = (
+                "results that were changed since"
+                if files
+                else "files of such names that this command did not write"
+            )
+            why = "results of other options or inputs" if mark and not files else changed
+    return place, why
 
 
 def _folder_in_the_way(path: Path) -> ArgumentError:
@@ -149,11 +157,11 @@ def _matching(folder: Path, names: Sequence[str]) -> list[Path]:
     return sorted(path for path in matching if path.parent.resolve().is_relative_to(home))
 
 
-def _read_mark(path: Path, key: str) -> dict[str, Any]:
-    """Size and time, by name, of the results from an earlier run with the same command and inputs."""
+def _read_mark(path: Path) -> dict[str, Any]:
+    """The mark of an earlier run of the same command: its key, and the sizes and times of its ``files``."""
     try:
         mark = json.loads(path.read_text(encoding="utf-8"))
-        return dict(mark["files"]) if mark["key"] == key else {}
+        return {"key": mark["key"], "files": dict(mark["files"])}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 
@@ -168,16 +176,22 @@ def _state(path: Path) -> list[int]:
 
 @contextmanager
 def results(
-    folder: Path, command: str, names: Sequence[str], inputs: Sequence[Path], *, force: bool = False
-) -> Iterator[tuple[Path, Path]]:
+    folder: Path,
+    command: str,
+    names: Sequence[str],
+    inputs: Sequence[Path],
+    *,
+    options: Sequence[str] = (),
+    force: bool = False,
+) -> Iterator[tuple[Path, Path, str]]:
     """A hidden folder to fill with the results of one run, and the folder in which they appear at the end, or nothing does.
 
-    That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other ``inputs``; with
-    ``force`` they are replaced, but never an input. ``names`` are patterns of all results of the ``command``; older files with
-    such names are removed.
+    That is ``folder``, or ``folder/2``, ``folder/3`` ... where results lie that were changed or come from other ``inputs`` or
+    ``options``; with ``force`` they are replaced, but never an input. Third comes what ``folder`` holds, if it is not that one.
+    ``names`` are patterns of all results of the ``command``; older files with such names are removed.
     """
-    key = " ".join([command, *sorted({os.path.realpath(path) for path in inputs})])
-    folder = _free_folder(folder, command, key, names, inputs, force=force)
+    key = " ".join([command, *options, *sorted({os.path.realpath(path) for path in inputs})])
+    folder, why = _free_folder(folder, command, key, names, inputs, force=force)
     with ExitStack() as stack:
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
@@ -187,7 +201,7 @@ def results(
         except OSError as error:
             words = f"{folder}: results cannot be written there ({error.strerror})"
             raise ArgumentError(words, remedy="choose another folder") from None
-        yield stage, folder
+        yield stage, folder, why
         mark = _finish(stage, command, key)
         if folder.is_dir():
             _move(stage, folder, command, names, mark)

@@ -166,15 +166,3 @@ LOGGED_TERMS = {
 """Terms that need a column of the log, and what it holds."""
 THERMAL_TERMS = tuple(name for name, factors in PRODUCTS.items() if "T" in factors)
 """Terms that need a temperature."""
-
-METHOD_WORDS: dict[str, tuple[str, str]] = {
-    "information": (
-        "least squares of the whitened angle increments, reduced orthogonally",
-        "always, unless you want to compare; the only method whose intervals cover noise that is slow",
-    ),
-    "rate": (
-        "least squares of rates, differences of the angle",
-        "for records that hold rates, and to see what differencing loses",
-    ),
-}
-"""What each method is, and when to use it."""

@@ -18,7 +18,7 @@ from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -252,7 +252,7 @@ def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> 
     where = f"[{'.'.join(keys)}]" if keys else "top level"
     unknown, missing = _UNKNOWN.search(message), _MISSING.search(message)
     if unknown:
-        allowed = _field_names(kind, keys, raw)
+        allowed = list(_types_at(kind, keys, raw))
         near = difflib.get_close_matches(unknown.group(1), allowed, n=1)
         other = next((words for table, words in _KINDS.items() if table in raw and table not in allowed), None)
         remedy = f"did you mean '{near[0]}'?" if near else f"allowed here: {', '.join(allowed)}"
@@ -265,9 +265,11 @@ def explained(message: str, kind: type[msgspec.Struct], raw: dict[str, Any]) -> 
             f"add it; see piga check --explain {missing.group(1)}",
         )
     text = _TYPES.sub(_in_words, _PATH.sub("", message))
-    text = re.sub(r"^Invalid enum value (.*)", r"\1 is not one of the allowed values", text).strip()
+    wrong = re.match(r"Invalid (?:enum )?value ('.*')", text)
+    text = f"{wrong.group(1)} is not one of the allowed values" if wrong else text.strip()
     last = keys[-1].split("[")[0] if keys else ""
     remedy = f"correct the value; piga check --explain {last} shows an example" if last else "correct the value"
+    remedy = f"one of: {', '.join(_choices(kind, keys, raw))}" if wrong else remedy
     return f"{where}: {text[:1].lower()}{text[1:]}", remedy
 
 
@@ -284,8 +286,8 @@ def _in_words(match: re.Match[str]) -> str:
     return " or ".join(words) if len(words) < 3 or "a number" not in words else "a number or text"
 
 
-def _field_names(kind: type[msgspec.Struct], keys: list[str], raw: object) -> list[str]:
-    """Names of the fields allowed at the place ``keys`` of a structure. Where there are several, ``kind`` in the file decides."""
+def _types_at(kind: type[msgspec.Struct], keys: list[str], raw: object) -> dict[str, Any]:
+    """Types by name of the fields at the place ``keys`` of a structure. Where there are several, ``kind`` in the file decides."""
     current: object = kind
     for key in keys:
         name, _, place = key.rstrip("]").partition("[")
@@ -296,9 +298,25 @@ def _field_names(kind: type[msgspec.Struct], keys: list[str], raw: object) -> li
         fields = {field.encode_name: field.type for field in msgspec.structs.fields(current)}  # type: ignore[arg-type]
         inside = structs_in(fields.get(name))
         if not inside:
-            return []
+            return {}
         current = next((struct for struct in inside if struct.__struct_config__.tag == tag), inside[0])
-    return [field.encode_name for field in msgspec.structs.fields(current)]  # type: ignore[arg-type]
+    return {field.encode_name: field.type for field in msgspec.structs.fields(current)}  # type: ignore[arg-type]
+
+
+def _choices(kind: type[msgspec.Struct], keys: list[str], raw: object) -> list[str]:
+    """The values that the key at this place may have: those of its type, or the kinds of its table."""
+    fixed = _literals_in(_types_at(kind, keys[:-1], raw).get(keys[-1].partition("[")[0]))
+    tables = (
+        structs_in(_types_at(kind, keys[:-2], raw).get(keys[-2].partition("[")[0])) if len(keys) > 1 else []
+    )
+    return fixed or [str(one.__struct_config__.tag) for one in tables]
+
+
+def _literals_in(annotation: Any) -> list[str]:
+    """All fixed values in a type."""
+    if get_origin(annotation) is Literal:
+        return [str(one) for one in get_args(annotation)]
+    return [value for part in get_args(annotation) for value in _literals_in(part)]
 
 
 def structs_in(annotation: Any) -> list[Any]:

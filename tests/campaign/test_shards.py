@@ -183,7 +183,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     _, err = process.communicate(timeout=120)
     assert process.returncode == 1
     assert 0 < len(open_campaign(out).parts()) < open_campaign(out).shards
-    assert f"go on with: piga campaign run {path} --out {out} --workers 1" in err
+    assert "give the same command again" in err
     assert "Traceback" not in err
     assert all(part.name.startswith("part-") for part in (out / "parts").iterdir())
 

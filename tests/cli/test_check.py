@@ -144,7 +144,8 @@ def test_a_run_file_that_was_changed_stays(log: Path) -> None:
     ("foo.bar=3", "the nearest keys: instrument, data, model, estimation, uncertainty, stand"),
     ("instrument.scale_factor=-1 rad/s/g", "must be positive"),
     ("data.output=counter", "[data.output]: expected a table { ... }, got text"),
-    ("model.phases=x", "[model.phases]: 'x' is not one of the allowed values"),
+    ("model.phases=x", "--set model.phases: 'x' is not known\n  remedy: one of: shared, per-segment"),
+    ("stand.kind=x", "--set stand.kind: 'x' is not known\n  remedy: one of: dividing-head, centrifuge, rate-table, "),
 ])  # fmt: skip
 def test_settings_that_cannot_be_used(log: Path, setting: str, words: str) -> None:
     _, _, message = run("init", log, "--set", SCALE, "--set", setting)
@@ -220,6 +221,7 @@ def test_explain() -> None:
     assert 'example  stamp = "DD.MM.YYYY hh:mm:ss.f"' in done.stdout
     assert {place.file for place in explain("terms")} == {"run"}
     assert next(place.path for place in explain("[data] time")) == "data.time"
+    assert '"centrifuge"' in explain("stand.kind")[0].kind
     document = json.loads(invoked("check", "--explain", "criterion", "--json").stdout)
     assert document[0]["key"] == "plan.criterion"
     wrong = invoked("check", "--explain", "data.tme")

@@ -15,6 +15,7 @@ from typer.main import get_command
 from piga.cli.main import app
 from piga.errors import PigaError
 from piga.progress import FIRST_USE
+from piga.records import Calibration
 from tests.cli.runner import exit_code, outcome
 from tests.records.files import write_log, write_run
 
@@ -65,6 +66,25 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
     assert [line for line in done.stderr.splitlines() if FIRST_USE not in line] == []
 
 
+def test_results_with_other_terms_go_beside_and_a_sentence_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("calibrate", small_run(tmp_path), "--out", tmp_path / "out", "--no-report")
+    assert outcome(capsys, *words)[0] == outcome(capsys, *words)[0] == 0
+    code, _, text = outcome(capsys, *words, "--terms", "scale_factor")
+    assert code == 0
+    assert (
+        f"out holds results of other options or inputs: the new ones are in {tmp_path / 'out' / '2'}; --force"
+        in text
+    )
+    first, second = (
+        Calibration.from_json(tmp_path / "out" / place / "calibration.json") for place in ("", "2")
+    )
+    assert ("k0" in first, "k0" in second) == (True, False)
+    assert outcome(capsys, *words, "--terms", "scale_factor", "--force")[0] == 0
+    assert "k0" not in Calibration.from_json(tmp_path / "out" / "calibration.json")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -73,6 +93,7 @@ def test_calibrate_json_and_files(tmp_path: Path) -> None:
         (["calibrate", "run.toml", "--phases", "loose"], "phases: 'loose' is not known"),
         (["calibrate", "run.toml", "--terms", "scale_factor,k0,k2,k3,k2o"], "this record"),
         (["calibrate", "run.toml", "--out", "run.csv"], "run.csv: is a file"),
+        (["calibrate", "run.toml", "--per-run", "k0"], "--per-run is not for one run"),
         (["check", "/dev/null/run.toml"], "run.toml: cannot be read"),
         (["check", "empty.toml"], "empty.toml: the file is empty"),
         (["init", "run.csv", "--column", "n"], "--column n: is not name=kind"),

@@ -375,12 +375,9 @@ def test_an_expired_signer_stands_in_the_first_line_and_the_exit_code(expired, c
     verify = ("expired.xml", "--certificate", "expired-cert.pem")
     code, out, _ = certificate("verify", *verify)
     assert code == 2
-    first = out.splitlines()[0]
-    assert "the signer's X.509 certificate has expired: valid from" in first
-    dates = re.search(
-        r"valid from \S+ to (\S+), judged for \S+; on the date of issue that the file states, 2026-03-09, it was not in",
-        first,
-    )
+    assert "the signer's X.509 certificate has expired: valid from" in out.splitlines()[0]
+    assert "on the date of issue that the file states, 2026-03-09, it was not in force" in out
+    dates = re.search(r"valid from \S+ to (\S+), judged for \S+", out)
     day = dt.date.fromisoformat(dates[1]) - dt.timedelta(days=2)
     code, out, err = certificate("verify", *verify, "--at", str(day))
     assert code == 0, err

@@ -103,8 +103,7 @@ def _run(capsys, *arguments):
         ("simulate", {"readouts.parquet", "truth.parquet", "simulated.toml"}),
         ("align", {"alignment.json"}),
         ("identify", {"identification.json"}),
-        ("navigate", {f"navigation-{m}.parquet" for m in ("none", "A", "B", "C")}),
-        ("compare", {"comparison.json"}),
+        ("compare", {"comparison.json", *(f"navigation-{m}.parquet" for m in ("none", "A", "B", "C"))}),
     ],
 )
 def test_a_command_leaves_its_files_and_a_page(capsys, scenario, tmp_path, command, files):

@@ -251,6 +251,13 @@ def test_samples_that_begin_a_stretch_are_checked_too(kind: str, bad: float) -> 
         stream.push(good)
 
 
+def test_names_of_files_are_answered_by_what_to_pass(tmp_path: Path) -> None:
+    with pytest.raises(
+        piga.ArgumentError, match=r"pass piga.read_run\('run.toml'\) and piga.Calibration.from_json"
+    ):
+        piga.compensate(str(write(tmp_path, rows=50)), calibration_of(CAL))  # type: ignore[arg-type]
+
+
 # --- the command
 
 
@@ -265,6 +272,10 @@ def test_words_of_the_command_that_do_not_fit(
         ),
         ((run, "--calibration", cal, "--calibration", cal, "--out", tmp_path / "o.csv"), "is given 2 times"),
         ((run, run, "--calibration", cal, "--out", tmp_path / "o.csv"), "2 run files: piga cannot know"),
+        (
+            (run, "--calibration", cal, "--out", tmp_path / "o.csv", "--kind", "rate"),
+            "--kind is not for a run file",
+        ),
     ):
         code, _, text = command(monkeypatch, capsys, *words)
         assert code == 2

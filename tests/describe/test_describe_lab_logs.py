@@ -137,3 +137,20 @@ def test_a_stand_is_given_for_a_log_without_force(tmp_path: Path) -> None:
         settings = SCALE | stand | {"stand.positions": positions, "instrument.counts_per_revolution": 72000}
         terms = draft_run_file(described, settings).document["model"]["terms"]
         assert terms == ["scale_factor", "tan_beta", "k0", "m_Y"]
+
+
+def test_rows_of_the_moving_head_are_no_positions(tmp_path: Path) -> None:
+    """Up and down alone cannot tell the bias along Z0, though the force turns through it on the way."""
+    angle = np.concatenate([np.zeros(200), np.linspace(0.0, np.pi, 20), np.full(200, np.pi)])
+    rate = np.round(np.cumsum(1000.0 * np.cos(angle) + 10.0))
+    rows = [
+        f"{k / 20},{n:.0f},{np.cos(a):.6f},0,{np.sin(a):.6f}"
+        for k, (n, a) in enumerate(zip(rate, angle, strict=True))
+    ]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["t [s],counts,fx [g],fy [g],fz [g]", *rows]))
+    draft = draft_run_file(describe_log(log), SCALE)
+    assert draft.document["model"]["terms"] == ["scale_factor", "k0"]
+    assert draft.comments["model.terms"] == [
+        "terms that the 2 positions of this log can tell; more: piga terms"
+    ]

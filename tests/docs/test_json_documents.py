@@ -23,7 +23,6 @@ repeats = 2
 """
 COMMANDS = """
 terms
-methods
 check --explain data.time
 examples
 demo --out lab

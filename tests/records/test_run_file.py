@@ -37,7 +37,11 @@ def test_the_former_name_of_a_key_is_read(tmp_path: Path) -> None:
         ("[data]", "counter_bits = 99\n[data]", r"\[instrument.counter_bits\]: expected a whole number <= 62"),
         ('unit = "s"', 'unit = "deg"', r"\[data\] time: unit 'deg'"),
         ('unit = "g" }', 'unit = "furlong" }', r"\[data\] reference: unknown unit 'furlong'"),
-        ('kind = "counts"', 'kind = "turns"', "'turns' is not one of the allowed values"),
+        (
+            'kind = "counts"',
+            'kind = "turns"',
+            "'turns' is not one of the allowed values\n  remedy: one of: counts, pulses, angle, rate",
+        ),
         ('kind = "counts"', 'kind = "angle"', "kind 'angle' needs a unit"),
         ('kind = "counts"', 'kind = "counts", unit = "rad"', "cannot be used with kind 'counts'"),
         ('kind = "counts"', 'kind = "counts", wraps_at = "1 rev"', "wraps_at is for kind 'angle'"),

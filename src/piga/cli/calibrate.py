@@ -60,6 +60,10 @@ def calibrate(
     if any(is_set_file(run) for run in runs):
         _calibrate_set(runs, directory, plain=not any((terms, method, phases, per_run, summary)))
         return
+    if per_run is not None and len(runs) == 1:
+        raise ArgumentError(
+            "--per-run is not for one run", remedy="leave it out, or name all runs of the instrument"
+        )
     with deliver(directory, "calibrate", CALIBRATION_RESULTS, runs) as to:
         with progress("reading"):
             items = [
@@ -151,7 +155,9 @@ def compensate(
     ] = None,
     other_serial: Annotated[bool, flag("--other-serial", "Accept another serial number.")] = False,
     as_run: Annotated[str | None, option("NAME", "Take a joint calibration as this run sees it.")] = None,
-    kind: Annotated[Literal["angle", "rate"], typer.Option(help="Live stream: kind of the output.")] = "angle",
+    kind: Annotated[
+        Literal["angle", "rate"] | None, typer.Option(help="Live stream: kind of the output [default: angle].")
+    ] = None,
     report: Annotated[Path | None, option("FILE.html", "Also write a page with figures.")] = None,
 ) -> None:
     """Compensate a run or live data: specific force and velocity.
@@ -171,14 +177,14 @@ def compensate(
     options: dict[str, Any] = {"uncertainty": uncertainty, "max_age_days": max_age, "method": method}
     options["phase"] = None if phase is None else piga.Phase(to_si(phase, "rad", what="--phase"))
     live, several = str(run[0]) == "-", is_triad_file(run[0])
-    where = "a live stream" if live else "several instruments" if several else ""
+    where = "a live stream" if live else "several instruments" if several else "a run file"
     given: dict[str, Any] = {"identify_phase": rest, "phase": phase, "rate": hertz, "report": report}
-    given |= {"as_run": as_run, "method published": method == "published"}
-    for name, remedy in _NO_EFFECT.get(where, {}).items():
+    given |= {"as_run": as_run, "method published": method == "published", "kind": kind}
+    for name, remedy in _NO_EFFECT[where].items():
         if given[name]:
             raise ArgumentError(f"--{name.replace('_', '-')} is not for {where}", remedy=remedy)
     if live:
-        _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind, **options))
+        _live(piga.Compensator(_calibration(calibration, as_run)[0], kind=kind or "angle", **options))
         return
     if str(out) == "-":
         raise ArgumentError("--out is missing", remedy="name a .parquet or .csv file")
@@ -201,9 +207,6 @@ def compensate(
             )
         if page_to is not None and report is not None:
             solved.words["rate"] = f"written at {hertz:.6g} Hz, shown as recorded" if hertz else "as recorded"
-            age = "never" if max_age is None else f"{max_age:g} days"
-            solved.words["calibration flagged when older than"] = age
-            solved.words["another serial number allowed"] = "yes" if other_serial else "no"
             _write_page(solved, page_to / report.name)
         summary = summary_of(solved.result, solved.records, written, solved.inputs)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
@@ -236,13 +239,16 @@ def _notes(document: dict[str, Any]) -> Iterator[str]:
         yield from (f"piga: calibration of {used['serial']}: {doubt}" for doubt in used["doubts"])
 
 
+_STREAM = {"kind": "leave it out: it says what a live stream holds (piga compensate -)"}
 _NO_EFFECT = {
+    "a run file": _STREAM,
     "a live stream": {
         "identify_phase": "give the phase, or use piga.compensation.PhaseFinder",
         "rate": "resample with piga.compensation.Resampler",
         "report": "record the stream, then compensate the record",
     },
     "several instruments": {
+        **_STREAM,
         "identify_phase": "give each [[triad.instrument]] its phase",
         "phase": "give each [[triad.instrument]] its phase",
         "as_run": "compensate each instrument by itself",
@@ -318,7 +324,6 @@ def _single(
 
 
 def _together(path: Path, details: bool, options: dict[str, Any]) -> _Solved:
-    """Solve several instruments together."""
     from piga.compensation.sets import read_member, read_triad
 
     paths, mounted, inputs = read_triad(path)
@@ -337,7 +342,6 @@ def _together(path: Path, details: bool, options: dict[str, Any]) -> _Solved:
 
 
 def _live(stream: piga.Compensator) -> None:
-    """Compensate standard input until it ends."""
     from piga.compensation.compensator import compensate_lines
 
     closed = "input" if sys.stdin is None else "output" if getattr(sys.stdout, "name", "") == os.devnull else ""

@@ -1,4 +1,4 @@
-"""``piga init``, ``check``, ``convert``, ``noise``: logs and run files; ``terms``, ``methods``, ``examples``: their words."""
+"""``piga init``, ``check``, ``convert``, ``noise``: logs and run files; ``terms``, ``examples``: their words."""
 
 from __future__ import annotations
 
@@ -280,7 +280,8 @@ def explain_key(key: str) -> None:
     from piga.keys import FILES
 
     rows: list[dict[str, str]] = []
-    meanings: dict[str, list[str]] = {}
+    meanings: dict[str, dict[str, None]] = {}
+    shown = "  {meaning}\n  value    {value}{in_unit}\n  default  {default}\n  example  {name} = {example}"
     for place in explain(key):
         words, file = place.words, FILES[place.file][0]
         row = {
@@ -292,16 +293,9 @@ def explain_key(key: str) -> None:
         }
         rows.append(row | {"default": place.default, "example": words.example})
         plain = words.unit in ("", "1", "own", "as the value", "row", "rows")
-        meaning = (
-            f"  {words.sentence}\n  value    {place.kind}{'' if plain else f', e.g. in {words.unit}'}\n"
-            f"  default  {place.default}\n  example  {place.path.rpartition('.')[2]} = {words.example}"
-        )
-        meanings.setdefault(meaning, []).append(f"{place.path} ({file})")
-    named = {meaning: list(dict.fromkeys(places)) for meaning, places in meanings.items()}
-    more = {
-        meaning: f"; and {len(places) - 4} more" if len(places) > 4 else "" for meaning, places in named.items()
-    }
-    tell(rows, (f"{'; '.join(places[:4])}{more[meaning]}\n{meaning}" for meaning, places in named.items()))
+        more = {"in_unit": "" if plain else f", e.g. in {words.unit}", "name": place.path.rpartition(".")[2]}
+        meanings.setdefault(shown.format(**rows[-1], **more), {})[f"{place.path} ({file})"] = None
+    tell(rows, (f"{'; '.join(places)}\n{meaning}" for meaning, places in meanings.items()))
 
 
 def terms(name: Annotated[str | None, argument("TERM", "One term; all if left out.")] = None) -> None:
@@ -323,14 +317,6 @@ def terms(name: Annotated[str | None, argument("TERM", "One term; all if left ou
     ]
     shown = "{name}  [{unit}]  {meaning}\n  adds     {formula}\n  shown by {shown_by}"
     tell(rows, ((shown + ("\n  e.g.     {known}" if row["known"] else "")).format(**row) for row in rows))
-
-
-def methods() -> None:
-    """List the methods of a calibration, and when to take which."""
-    from piga.terms import METHOD_WORDS
-
-    rows = [{"name": name, "meaning": what, "use": use} for name, (what, use) in METHOD_WORDS.items()]
-    tell(rows, ("{name}: {meaning}\n  use it   {use}".format(**row) for row in rows))
 
 
 def examples(out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("examples")) -> None:

@@ -75,10 +75,6 @@ def say(text: str) -> None:
     _write_out(_fitted(text, sys.stdout) + "\n")
 
 
-_LONGEST = 2000
-"""Most characters of a line on stderr; a longer one shows its begin and its end."""
-
-
 def _fitted(text: str, stream: Any) -> str:
     """Clean text, on a terminal in lines as wide as it; a name or a number is never broken."""
     text = _CONTROL.sub("?", text)
@@ -93,19 +89,16 @@ def _fitted(text: str, stream: Any) -> str:
 
 def note(text: str) -> None:
     """Print a line for people on stderr (warnings, progress summaries)."""
-    lines = (
-        line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 4 :]}"
-        for line in text.split("\n")
-    )
     with suppress(OSError):  # stderr is closed: nobody reads the message
-        sys.stderr.write(_fitted("\n".join(lines), sys.stderr) + "\n")
+        sys.stderr.write(_fitted(text, sys.stderr) + "\n")
         sys.stderr.flush()
 
 
 class Ending:
-    """How the command that runs ends: its options ``--force`` and ``--json``."""
+    """How the command that runs ends: its options ``--force`` and ``--json``, and which other ``options`` were given."""
 
     force = as_json = False
+    options: tuple[str, ...] = ()
 
 
 def tell(document: Any, lines: Iterable[str]) -> None:
@@ -157,10 +150,10 @@ def deliver(
 ) -> Iterator[Delivery]:
     """The one ending of a command: its files appear together, then JSON alone, or the text and the files that were written.
 
-    ``inputs`` and all files that they name are never overwritten. Results of other inputs are not replaced without ``--force``:
-    the new ones go beside them (``folder/2``).
+    ``inputs`` and all files that they name are never overwritten. Results of other inputs or options are not replaced without
+    ``--force``: the new ones go beside them (``folder/2``), and a sentence says why.
     """
-    written: list[str] = []
+    written, beside = list[str](), ""
     if folder is None:
         delivery = Delivery(None, Path())
         yield delivery
@@ -168,17 +161,22 @@ def deliver(
         from piga.text_files import files_named_in
 
         read = [file for path in inputs for file in files_named_in(path)]
-        with results(folder, command, names, read, force=force or Ending.force) as (stage, place):
+        replaces = force or Ending.force
+        with results(folder, command, names, read, options=Ending.options, force=replaces) as made:
+            stage, place, why = made
             delivery = Delivery(place, stage)
             yield delivery
             paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
             written = [f"wrote {place / path.relative_to(stage)}" for path in paths]
-    if Ending.as_json:
-        if delivery._document is not None:
-            print_json(delivery._document())
-        return
-    text = delivery._text()
-    say("\n".join([text, *written] if text else written))
+        if why:
+            beside = f"{folder} holds {why}: the new ones are in {place}; --force replaces the old ones"
+    if not Ending.as_json:
+        text = delivery._text()
+        say("\n".join([text, *written] if text else written))
+    elif delivery._document is not None:
+        print_json(delivery._document())
+    if beside:
+        note(beside)
 
 
 def deliver_file(target: Path, command: str, inputs: Iterable[Path]) -> AbstractContextManager[Delivery]:
@@ -292,6 +290,10 @@ class CommandGroup(TyperGroup):
         return params
 
 
+def _names_files(value: Any) -> bool:
+    return all(isinstance(one, Path) for one in (value if isinstance(value, list) else [value]))
+
+
 class App(typer.Typer):
     """A Typer application: its groups are :class:`CommandGroup`, its commands :class:`PlainCommand`."""
 
@@ -308,6 +310,10 @@ class App(typer.Typer):
             @wraps(function)
             def run(**values: Any) -> None:
                 Ending.force, Ending.as_json = (values.pop(one, False) for one in BOTH)
+                given = {one: value for one, value in values.items() if value != own.parameters[one].default}
+                Ending.options = tuple(
+                    f"{one}={value}" for one, value in given.items() if not _names_files(value)
+                )
                 function(**values)
 
             own = inspect.signature(function, eval_str=True)

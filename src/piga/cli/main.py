@@ -16,7 +16,7 @@ import typer
 from piga._version import __version__
 from piga.cli import records
 from piga.cli.calibrate import calibrate, compensate, demo
-from piga.cli.check import check, convert, examples, init, methods, noise, terms
+from piga.cli.check import check, convert, examples, init, noise, terms
 from piga.cli.common import BOTH, DOING, FORCE, JSON, App, argument, note, option, prepare_output, say
 from piga.cli.simulate import campaign, plan, platform, reproduce, simulate
 from piga.errors import EXTRAS, ArgumentError, CalibrationWarning, PigaError, PigaWarning, missing_package
@@ -87,7 +87,6 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     reproduce: BOTH,
     ui: (),
     terms: JSON,
-    methods: JSON,
 }
 """Commands in the order of the help, with the options of their endings."""
 for command, ends in COMMANDS.items():
@@ -121,6 +120,7 @@ _STREAM = "compensate the stream with: logger | piga compensate - --calibration 
 _KEEP = "calibrate with it, then keep the folder: piga records add RUN.toml --results DIR"
 _GONE = {
     "completion": "let the shell complete commands with: piga --install-completion",
+    "methods": "piga check --explain estimation.method",
     "calibrate --compare": "write the sets into the run file: [model] compare",
     "calibrate --phase-source": "write it into the run file: [model] phase_source",
     **{f"records add {name}": _KEEP for name in ("--terms", "--method", "--phases", "--phase-source")},
@@ -128,6 +128,7 @@ _GONE = {
     "certificate issue --issued": "write the date into the file of --data: [certificate] issued; without it: today",
     "compensate --arrow": "send lines, or push columns into piga.Compensator in Python",
     "compensate --resume": "run the same command again without it",
+    "platform navigate": "piga platform compare SCENARIO.toml --out DIR writes navigation-MODEL.parquet too",
     "platform simulate --every": "take every N-th row of the Parquet file",
     **dict.fromkeys(("init --yes", "init -y"), "leave it out: init does not ask"),
     **dict.fromkeys(("ui --host", "ui --tls", "ui --password-file"), _LOOPBACK),

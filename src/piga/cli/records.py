@@ -58,24 +58,18 @@ def _record_document(record: Record) -> dict[str, Any]:
 
 
 def _record_lines(record: Record) -> Iterator[str]:
-    document, origin = record.document, record.link.taken_over
-    software = (document.software.get(name, "?") for name in ("piga", "python"))
-    facts = {
-        "instrument": document.serial,
-        "measured": document.measured or "not said",
-        "created": document.created,
-        "operator": document.operator,
-        "reason": document.reason,
-        "supersedes": document.supersedes,
-        "software": f"piga {', '.join(software)}",
-    }
-    if origin is not None:
-        was = f"it was number {document.number} of store {document.store}"
-        facts["imported"] = f"by {origin.operator}: {origin.reason}; {was}"
+    document = _record_document(record)
+    files, origin = document["record"].pop("files"), document["taken_over"]
     yield f"record {record.id}, number {record.number}, head {record.head}"
-    yield from (f"  {name:<11}{value}" for name, value in facts.items() if value is not None)
-    for file in document.files:
-        yield f"  {file.role:<12}{file.sha256[:16]}  {file.size:>10}  {file.name}"
+    for name in ("serial", "measured", "created", "operator", "reason", "supersedes", "software"):
+        value = document["record"][name] or "not said"
+        words = ", ".join(map(" ".join, value.items())) if isinstance(value, dict) else value
+        yield f"  {name:<12}{words}"
+    if origin is not None:
+        was = f"it was number {record.document.number} of store {record.document.store}"
+        yield f"  imported    by {origin['operator']}: {origin['reason']}; {was}"
+    for file in files:
+        yield f"  {file['role']:<12}{file['sha256'][:16]}  {file['size']:>10}  {file['name']}"
 
 
 def _difference_lines(document: dict[str, Any]) -> Iterator[str]:
@@ -105,8 +99,7 @@ def _reproduced_line(document: dict[str, Any]) -> str:
         for line in document["differences"] or ("the numbers differ in their last digits",):
             note(f"piga: {document['id']}: {line}")
     pairs = {name: pair for name, pair in document["changed"].items() if pair[0] is not None}
-    changed = [f"{name} {then} -> {now}" for name, (then, now) in pairs.items() if name != "source_sha256"]
-    changed += ["other numeric source"] if "source_sha256" in pairs else []
+    changed = [f"{name} {str(then)[:20]} -> {str(now)[:20]}" for name, (then, now) in pairs.items()]
     then_and_now = "; ".join(changed) or "the software of then was not recorded in full"
     where = "same software and platform" if document["same_platform"] else f"then and now: {then_and_now}"
     return f"{document['id']}: {words[document['verdict']]}; {where}"
@@ -489,37 +482,28 @@ def verify_certificate(
 
     day = _day(at)
     signed = verify_signature(file, certificate)
-    ours = is_ours(signed.document)
+    ours, issued, why = is_ours(signed.document), date_of_issue(signed.document, file), signed.out_of_force(day)
     serial = calibration_of(signed.document, file).serial if ours else None
-    who = f"instrument {serial}" if ours else "not made by piga, so its statements were not compared"
-    issued = date_of_issue(signed.document, file)
-    why = signed.out_of_force(day)
-    valid = f"{signed.valid_from:%Y-%m-%d} to {signed.valid_until:%Y-%m-%d}"
-    was = "was" if signed.valid_from.date() <= issued <= signed.valid_until.date() else "was not"
-    stated = f"on the date of issue that the file states, {issued}, it {was} in force"
+    ends = signed.valid_from, signed.valid_until
+    was = "was" if ends[0].date() <= issued <= ends[1].date() else "was not"
     document = {
         "signature": "holds",
         "signer": signed.signer,
         "signer_in_force": not why,
         "judged_for": day.date().isoformat(),
-        "certificate_valid": [signed.valid_from.isoformat(), signed.valid_until.isoformat()],
+        "certificate_valid": [end.isoformat() for end in ends],
         "issued": issued.isoformat(),
         "made_by_piga": ours,
         "serial": serial,
         "remarks": list(signed.remarks),
     }
-    when = "" if at is None else f" as of {day:%Y-%m-%d}"
+    who = f"instrument {serial}" if ours else "not made by piga, so its statements were not compared"
     lines = [
-        f"{file}: the signature holds{when}; {who}",
-        f"  signed by  {signed.signer}",
-        f"  whose certificate is valid {valid}",
+        f"{file}: the signature holds as of {day:%Y-%m-%d}; {who}",
+        f"  signed by  {signed.signer}, whose certificate is valid {ends[0]:%Y-%m-%d} to {ends[1]:%Y-%m-%d}",
+        f"  on the date of issue that the file states, {issued}, it {was} in force",
     ]
-    if why:
-        first = f"{file}: the signer's X.509 certificate {why}; {stated}"
-        lines = [first, f"  the signature itself holds; {who}", lines[1]]
-    tell(document, lines)
-    if was == "was not" and not why:
-        note(f"piga: the signer's X.509 certificate is valid {valid}; {stated}")
+    tell(document, [f"{file}: the signer's X.509 certificate {why}", *lines] if why else lines)
     for remark in signed.remarks:
         note(f"piga: {remark}")
     if why:

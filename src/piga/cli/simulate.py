@@ -187,41 +187,25 @@ def identify(scenario: Scenario, out: Out) -> None:
 
 
 @platform.command()
-def navigate(scenario: Scenario, out: Out) -> None:
-    """Navigate with every model of the scenario.
-
-    Writes navigation-MODEL.parquet and a page.
-    """
-    from piga.platform.chain import navigation_table
-    from piga.reports.platform import navigation_page
-
-    with _results(out, "navigate", scenario, "navigation-*.parquet") as to:
-        comparison = _compared(scenario)
-        document: dict[str, Any] = {"models": {}, "notes": list(comparison.preparation.notes)}
-        for name, run in comparison.models.items():
-            file, worst = f"navigation-{name}.parquet", float(run.errors.horizontal.max())
-            _parquet(navigation_table(run), to / file)
-            document["models"][name] = {"position_error_m": worst, "file": file}
-        whole = navigation_page(comparison)
-        to.show(document, whole, whole.only(), "report.html")
-
-
-@platform.command()
 def compare(
     scenario: Scenario,
-    out: Annotated[Path | None, option("DIR", "Folder for comparison.json and report.html.")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for the results and report.html.")] = None,
     budget: Annotated[bool, flag("--budget", "Add the error budget by source.")] = False,
 ) -> None:
-    """Compare the compensation models, and each with theory.
+    """Navigate with each compensation model, and compare the models, also with theory.
 
-    Writes comparison.json and a page, day by day.
+    Writes comparison.json, navigation-MODEL.parquet and a page, day by day.
     """
+    from piga.platform.chain import navigation_table
     from piga.reports.platform import comparison_page
     from piga.results import plain
 
-    with _results(out, "compare", scenario, "comparison.json", "capstone.html") as to:
-        comparison = _compared(scenario)
+    with _results(out, "compare", scenario, "comparison.json", "capstone.html", "navigation-*.parquet") as to:
+        with progress("simulating and navigating") as advance:
+            comparison = piga.platform.compare(piga.platform.load_scenario(scenario), progress=advance)
         s = comparison.run.scenario
+        for name, run in comparison.models.items() if out is not None else ():
+            _parquet(navigation_table(run), to / f"navigation-{name}.parquet")
         sources = piga.platform.standard_sources(comparison.preparation.alignment)
         rows = piga.platform.error_budget(s, sources) if budget else ()
         document = comparison.document()
@@ -240,11 +224,6 @@ def compare(
 def _simulated(scenario: Path) -> piga.platform.PlatformRun:
     with progress("simulating"):
         return piga.platform.simulate(piga.platform.load_scenario(scenario))
-
-
-def _compared(scenario: Path) -> piga.platform.ModelComparisonRun:
-    with progress("simulating and navigating") as advance:
-        return piga.platform.compare(piga.platform.load_scenario(scenario), progress=advance)
 
 
 def _results(out: Path | None, command: str, scenario: Path, *names: str) -> AbstractContextManager[Delivery]:
@@ -289,12 +268,9 @@ def plan_campaign(file: CampaignFile, out: CampaignOut) -> None:
     lines += [f"  {group.records:>9} records  {group.label}" for group in groups[:30]]
     lines += [f"  and {len(groups) - 30} more"] if len(groups) > 30 else []
     lines.append(f"{planned.plan.records} records in {planned.shards} shards of {size}")
-    lines.append(f"wrote {out}/manifest.json; go on with: {_run_command(file, out)}")
+    again = shlex.join(["piga", "campaign", "run", str(file), "--out", str(out)])
+    lines.append(f"wrote {out}/manifest.json; go on with: {again}")
     tell(document, lines)
-
-
-def _run_command(file: Path, out: Path, *engine: str) -> str:
-    return shlex.join(["piga", "campaign", "run", str(file), "--out", str(out), *engine])
 
 
 @campaign.command(ends=JSON)
@@ -312,14 +288,11 @@ def run(
     from piga.reports.render.numbers import duration
 
     planned = piga.campaign.plan_campaign(file, out)
-    given = {"--workers": workers, "--executor": executor}
-    engine = [word for name, value in given.items() if value is not None for word in (name, str(value))]
-    again = _run_command(file, out, *engine)
     try:
         with progress("computing") as show:
             report = piga.campaign.run_campaign(planned, workers=workers, executor=executor, progress=show)
     except KeyboardInterrupt:
-        note(f"piga: stopped; the shards under way are dropped\n  remedy: go on with: {again}")
+        note("piga: stopped; the shards under way are dropped\n  remedy: give the same command again")
         raise SystemExit(_INCOMPLETE) from None
     aside = sorted(report.set_aside.items())
     document = {
@@ -335,7 +308,7 @@ def run(
     if aside:
         for shard, reason in aside:
             note(f"piga: shard {shard} is not computed: {reason}")
-        note(f"  remedy: find out why the worker dies (memory?), then try again with: {again}")
+        note("  remedy: find out why the worker dies (memory?), then give the same command again")
         raise SystemExit(_INCOMPLETE)
     if not Ending.as_json:
         say(f"collect with: {shlex.join(['piga', 'campaign', 'collect', str(out)])}")

@@ -315,7 +315,12 @@ def compensate(
 
 
 def check_serial(record: Run, calibration: Calibration, force: bool) -> None:
-    """Refuse the coefficients of another instrument, unless ``force``, or of another output."""
+    """Refuse what is not a record and a calibration, the coefficients of another instrument (unless ``force``) or output."""
+    if not all(map(isinstance, (record, calibration), (Run, Calibration))):
+        raise ArgumentError(
+            "a record and a calibration are needed, not the names of their files",
+            remedy="pass piga.read_run('run.toml') and piga.Calibration.from_json('calibration.json')",
+        )
     if record.unit != calibration.unit:
         raise CalibrationError(
             f"the output of the record is in {record.unit}, that of the calibration in {calibration.unit}",

@@ -10,7 +10,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -172,11 +172,11 @@ def setting(text: str) -> tuple[str, Any]:
             f"--set {text}: is not table.key=value",
             remedy="e.g. --set instrument.scale_factor='0.8884 rad/s/g'",
         )
-    check_setting(key)
-    try:
-        return key, tomllib.loads(f"value = {written.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key, written.strip()
+    value: Any = written.strip()
+    with suppress(tomllib.TOMLDecodeError):
+        value = tomllib.loads(f"value = {value}")["value"]
+    check_setting(key, value)
+    return key, value
 
 
 def number_in(text: Any) -> float:
@@ -231,11 +231,7 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     value: dict[str, Any] = {"column": column.name, "kind": column.kind}
     reasons = [column.reason]
     x = log.numbers.get(column.name, np.empty(0))
-    if column.kind == "counts" and _of_each_sample(log, x):
-        column = replace(column, kind="pulses")
-        value["kind"] = "pulses"
-        reasons.append("it follows the specific force itself: the pulses of each sample, which are summed")
-    elif column.kind == "counts":
+    if column.kind == "counts":
         bits = _counter_bits(x)
         if bits is not None:
             draft.put("instrument.counter_bits", *bits, "  or: leave it out, if the counter was reset there")
@@ -250,17 +246,6 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
             reasons.append(fold[1])
     draft.put("data.output", value, *reasons)
     return column
-
-
-def _of_each_sample(log: LogDescription, x: Array) -> bool:
-    """True if counts, not their steps, follow the specific force: they are the pulses of each sample."""
-    forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
-    angles = [one for one in log.of("stand-angle") if one.name in log.numbers]
-    forces += [np.cos(log.numbers[one.name] * parse_unit(one.unit).factor) for one in angles]
-    forces += [log.numbers[one.name] ** 2 for one in log.of("stand-speed") if one.name in log.numbers]
-    themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
-    steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
-    return themselves > 0.99 and steps < 0.5
 
 
 def _correlation(y: Array, x: Array) -> float:
@@ -541,13 +526,12 @@ def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, va
 
 
 def _direct(draft: RunFileDraft) -> bool:
-    """True for an instrument without a gimbal."""
     return draft.document["instrument"].get("kind") == "direct"
 
 
 def put_terms(draft: RunFileDraft, log: LogDescription) -> None:
     """Terms that the positions of the test can determine."""
-    force = _levels(draft, log)
+    force, counted = _levels(draft, log)
     if force is None:
         terms = ["scale_factor", "k0"] if _direct(draft) else ["scale_factor", "tan_beta", "k0"]
         draft.put("model.terms", terms, "the terms of every instrument")
@@ -565,21 +549,26 @@ def put_terms(draft: RunFileDraft, log: LogDescription) -> None:
         if np.linalg.svd(trial / size, compute_uv=False)[-1] > _LEAST_SWING:
             terms.append(name)
             columns.append(column)
-    draft.put("model.terms", terms, f"terms that the {a_x.size} levels of this log can tell; more: piga terms")
+    draft.put("model.terms", terms, f"terms that the {counted} of this log can tell; more: piga terms")
 
 
-def _levels(draft: RunFileDraft, log: LogDescription) -> Array | None:
-    """Specific force [g] at some rows (n, 3)."""
+def _levels(draft: RunFileDraft, log: LogDescription) -> tuple[Array | None, str]:
+    """Specific force [g] in the positions of the test (n, 3), or at some rows if it has none; and what these are."""
     reference, stand = draft.document["data"].get("reference"), draft.document.get("stand", {})
     if isinstance(reference, Mapping):
         columns = [log.numbers[name] for name in reference.get("columns", ()) if name in log.numbers]
         if len(columns) != 3:
-            return None
+            return None, ""
         f = np.column_stack(columns) * parse_unit(str(reference["unit"])).factor / G0
-        f = f[np.isfinite(f).all(axis=1)][:: max(f.shape[0] // 2000, 1)]
-        return np.unique(f.round(4), axis=0) if f.size else None
-    positions = stand.get("positions")
-    if stand.get("kind") == "dividing-head" and isinstance(positions, list | str | Mapping):
-        x = np.array(head_positions(list(positions.values()) if isinstance(positions, Mapping) else positions))
-        return np.column_stack([np.cos(x), -np.sin(x), np.zeros(x.size)])
-    return None
+        f = f[np.isfinite(f).all(axis=1)]
+        spans = positions(f[:, np.argmax(np.ptp(f, axis=0))]) if f.size else []
+        if spans:
+            f = np.array([f[start:stop].mean(axis=0) for start, stop in spans])
+            return f, f"{len(spans)} positions"
+        f = f[:: max(f.shape[0] // 2000, 1)]
+        return (np.unique(f.round(4), axis=0), "directions") if f.size else (None, "")
+    stated = stand.get("positions")
+    if stand.get("kind") == "dividing-head" and isinstance(stated, list | str | Mapping):
+        x = np.array(head_positions(list(stated.values()) if isinstance(stated, Mapping) else stated))
+        return np.column_stack([np.cos(x), -np.sin(x), np.zeros(x.size)]), f"{x.size} positions"
+    return None, ""

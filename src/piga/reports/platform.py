@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -179,16 +178,6 @@ def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str,
         value, std = float(np.degrees(aligned.base_angles[k])), np.degrees(aligned.base_stds[k])
         off = float(np.remainder(value - np.degrees(angle) + 180.0, 360.0) - 180.0)
         yield f"base {name}", fixed(value, 5), significant(std, 2), "deg", significant(off, 2)
-
-
-def navigation_page(comparison: ModelComparisonRun) -> Page:
-    """Page of ``piga platform navigate``."""
-    tiles = tuple(
-        Tile(model_name(m), short(float(r.lines.position.max())), "m", "largest horizontal position error")
-        for m, r in comparison.models.items()
-    )
-    whole = comparison_page(comparison).only("histories", "position", "notes", "given")
-    return replace(whole, title="Platform navigation", tiles=tiles)
 
 
 def comparison_page(comparison: ModelComparisonRun, budget: Sequence[BudgetRow] = ()) -> Page:
