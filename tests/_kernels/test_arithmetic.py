@@ -1,4 +1,4 @@
-"""Double-double arithmetic, angles, sines and cosines against 50-digit arithmetic."""
+"""Double-double arithmetic and angles against 50-digit arithmetic."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from piga._kernels import arithmetic as dd
-from piga._kernels.arithmetic import double_arctangent, sine_cosine
+from piga._kernels.arithmetic import double_arctangent
 
 pytestmark = pytest.mark.interpreted
 
@@ -56,18 +56,3 @@ def test_double_arctangent_to_an_ulp():
     assert double_arctangent(1.0, 0.0) == math.pi
     assert double_arctangent(-1.0, 0.0) == -math.pi
     assert double_arctangent(0.0, 1.0) == 0.0
-
-
-def test_sine_and_cosine_are_good_to_4e16_for_any_angle():
-    """Against 50 digits at random angles to 1e9 rad, near quarter turns too."""
-    import mpmath
-
-    rng = np.random.default_rng(0)
-    angles = np.concatenate(
-        [10.0 ** rng.uniform(-8, 9, 600) * rng.choice([-1, 1], 600), np.arange(1, 400) * np.pi / 2]
-    )
-    with mpmath.workdps(50):
-        for x in angles:
-            s, c = sine_cosine(float(x))
-            assert abs(s - mpmath.sin(mpmath.mpf(float(x)))) < 4e-16
-            assert abs(c - mpmath.cos(mpmath.mpf(float(x)))) < 4e-16

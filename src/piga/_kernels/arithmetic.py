@@ -1,4 +1,4 @@
-"""Arithmetic of the kernels: double-double numbers, smooth inputs between samples, sine and arctangent.
+"""Arithmetic of the kernels: double-double numbers, smooth inputs between samples, arctangent.
 
 **Double-double.** A number is the unevaluated sum ``high + low`` of two float64, with about 31 significant digits. It is used
 where a phase grows over many revolutions, where two nearly equal squares are subtracted, and where triangular factors are
@@ -10,12 +10,9 @@ derivative in the middle. At a step, a kink or a bad sample, second differences 
 sample. If the sign changes, the second derivative is set to zero. It is limited to twice the smaller of two
 neighbours. So the result does not ring.
 
-**Sine with cosine, and the arctangent of a half-angle pair** have no branches and no table, so they run on whole vectors. The
-argument of sine and cosine is reduced by a three-part pi/2 [Cody1980], which is exact for quotients below 2^20. The library's
-functions compute larger angles one by one. The polynomials are Chebyshev fits at 50 digits (``mpmath.chebyfit``).
-Multiply-adds are not contracted, so a value does not depend on its neighbours. The arctangent is a Chebyshev fit of
-``(atan(u)/u - 1)/u^2`` over ``|u| <= tan(pi/8)``, made with ``mpmath.chebyfit`` at 50 digits. It has eleven coefficients. The
-relative error is 6e-18, half an ulp in float64.
+**The arctangent of a half-angle pair** has no branches and no table, so it runs on whole vectors: angles from pairs take a third
+of the time. It is a Chebyshev fit of ``(atan(u)/u - 1)/u^2`` over ``|u| <= tan(pi/8)``, made with ``mpmath.chebyfit`` at 50
+digits. It has eleven coefficients. The relative error is 6e-18, half an ulp in float64.
 """
 
 from __future__ import annotations
@@ -139,45 +136,6 @@ def bow_inside(h: float, share: float, first: float, second: float) -> float:
 def share_at_end(h: float, h_near: float, h_far: float) -> float:
     """The share for an interval ``h`` at an end of a stretch, from the second derivatives at the next two samples."""
     return -(h + 2.0 * h_near) / (2.0 * (h + h_near + h_far))
-
-
-_LIMIT = 1.6e6
-"""Largest angle [rad] of the fast reduction: 2^20 quarter turns."""
-
-_TWO_OVER_PI = 2.0 / math.pi
-_HALF_PI_1 = 1.5707963267341256
-_HALF_PI_2 = 6.077100506303966e-11
-_HALF_PI_3 = 2.0222662487959506e-21
-_S0 = -0.16666666666666666
-_S1 = 0.008333333333330948
-_S2 = -0.00019841269836756774
-_S3 = 2.7557316101617874e-06
-_S4 = -2.505113165023518e-08
-_S5 = 1.5918115263265974e-10
-_C0 = 0.041666666666666664
-_C1 = -0.0013888888888887398
-_C2 = 2.480158729876456e-05
-_C3 = -2.7557317271145144e-07
-_C4 = 2.087614614655861e-09
-_C5 = -1.1382623647474604e-11
-
-
-@inline
-def sine_cosine(angle: float) -> tuple[float, float]:
-    """``sin`` and ``cos`` of any finite angle [rad]; error below 2e-16."""
-    if abs(angle) > _LIMIT:
-        return math.sin(angle), math.cos(angle)
-    quarter = np.rint(angle * _TWO_OVER_PI)
-    r = ((angle - quarter * _HALF_PI_1) - quarter * _HALF_PI_2) - quarter * _HALF_PI_3
-    x = r * r
-    sine = r + r * (x * (_S0 + x * (_S1 + x * (_S2 + x * (_S3 + x * (_S4 + x * _S5))))))
-    tail = x * x * (_C0 + x * (_C1 + x * (_C2 + x * (_C3 + x * (_C4 + x * _C5)))))
-    half = 0.5 * x
-    one = 1.0 - half
-    cosine = one + (((1.0 - one) - half) + tail)
-    turned = int(quarter) & 3
-    s, c = (cosine, -sine) if turned & 1 else (sine, cosine)
-    return (-s, -c) if turned & 2 else (s, c)
 
 
 _TAN_EIGHTH = math.tan(math.pi / 8.0)

@@ -27,7 +27,6 @@ from piga._kernels.arithmetic import (
     bow_inside,
     second_derivatives,
     share_at_end,
-    sine_cosine,
 )
 from piga._kernels.jit import Array, kernel
 from piga.terms import Factor
@@ -83,7 +82,8 @@ def coupling_columns(
     for i in range(h.size):
         # even part j0, odd part j1 and sag of psi turn by +90 deg; the bow of the input does not
         j0, j1, sag = half_angle_moments(0.5 * order * (psi[i + 1] - psi[i]))
-        s, c = sine_cosine(0.5 * order * (psi[i] + psi[i + 1]))
+        angle = 0.5 * order * (psi[i] + psi[i + 1])
+        s, c = math.sin(angle), math.cos(angle)
         ym, yd = 0.5 * (y[i] + y[i + 1]), 0.5 * (y[i + 1] - y[i])
         zm, zd = 0.5 * (z[i] + z[i + 1]), 0.5 * (z[i + 1] - z[i])
         ye, ze, bent = ym * j0 + 1.5 * sag * bows[0, i], zm * j0 + 1.5 * sag * bows[1, i], order * bend[i] * sag
@@ -178,7 +178,8 @@ def servo_columns(psi: Array, w: Array, y: Array, z: Array, h: Array, bend: Arra
         for node, weight in zip(_NODES, _WEIGHTS):  # noqa: B905 - the compiler knows no strict
             p, q = 0.5 * (1.0 - node), 0.5 * (1.0 + node)
             a, b, c = p * w[i] + q * w[i + 1], p * y[i] + q * y[i + 1], p * z[i] + q * z[i + 1]
-            sine, cosine = sine_cosine(p * psi[i] + q * psi[i + 1] + bend[i] * (1.0 - node * node))
+            angle = p * psi[i] + q * psi[i + 1] + bend[i] * (1.0 - node * node)
+            sine, cosine = math.sin(angle), math.cos(angle)
             along, across = b * cosine + c * sine, c * cosine - b * sine  # zeta exp(-i psi)
             each = 0.5 * weight * h[i] * a
             out[0, i] += each * (b * b + c * c)

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from piga._kernels.arithmetic import bow_of, limited, sine_cosine
+from piga._kernels.arithmetic import bow_of, limited
 from piga._kernels.compensation import data as at
 from piga._kernels.compensation.data import Instrument, Past, Row, Sample, Samples, sample_of
 from piga._kernels.compensation.terms import (
@@ -233,7 +233,7 @@ def read_interval(p: Instrument, past: Past, now: Sample, gap: Spacing, x: Row) 
     y, z = transverse(p, now)
     x.h, x.per, x.turn = gap.h, gap.per, now.psi - past.psi
     x.half, x.angle = 0.5 * x.turn, p.phi - past.start + 0.5 * (past.psi + now.psi)
-    x.s, x.c = sine_cosine(x.angle)
+    x.s, x.c = math.sin(x.angle), math.cos(x.angle)
     x.v = x.turn * gap.per * p.per_K
     bow_y, left_y, bend_y = bow(gap, y, past.y, past.y_before, past.bend_y)
     bow_z, left_z, bend_z = bow(gap, z, past.z, past.z_before, past.bend_z)
@@ -263,7 +263,7 @@ def read_sample(p: Instrument, past: Past, now: Sample, psi: float, angle: float
     y, z = transverse(p, now)
     x.h, x.per = h, 1.0 / (h if h != 0.0 else p.typical)
     x.turn, x.angle = psi - past.psi, angle
-    x.s, x.c = sine_cosine(angle)
+    x.s, x.c = math.sin(angle), math.cos(angle)
     x.v = now.rate * p.per_K
     x.base_x, x.base_y, x.base_z, x.y, x.z = now.Omega_x, y, z, y, z
     x.Omega_Y, x.Omega_Z = now.Omega_Y, now.Omega_Z
