@@ -1,7 +1,7 @@
 """Plan a test: the positions or levels, and the dwell in each, that give the smallest uncertainties.
 
 A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The search finds pairs of
-visits (:mod:`piga.planning.search`). The least value of any mixture of visits per second of test is a lower bound for every test.
+visits (:mod:`piga.planning.search`).
 The estimator predicts the reported uncertainties from the noiseless record of the test.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -47,18 +46,15 @@ class Plan(Reported, Plotted, Result):
     """A planned test and its comparison plans.
 
     ``plot()`` shows chosen positions and the time in each: two panels. ``usable`` candidates keep the margin from the lock
-    zone. ``efficiency`` is the ratio of variances between the lower bound and the plan, at most 1. ``cheapest`` is the shortest
-    test found that reaches the wanted uncertainties; no test of these candidates is shorter than ``shortest`` [s].
+    zone. ``cheapest`` is the shortest test found that reaches the wanted uncertainties.
     """
 
     request: PlanRequest
     candidates: tuple[Candidate, ...]
     usable: tuple[Candidate, ...]
-    efficiency: float
     best: Prediction
     standard: tuple[Prediction, ...]
     cheapest: Prediction | None = None
-    shortest: float = 0.0
 
     @property
     def excluded(self) -> tuple[tuple[Candidate, str], ...]:
@@ -101,18 +97,14 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     steps("standard plans")
     standard = _standard(request, usable)
     steps("choosing visits")
-    best, value = search.best(standard)
-    bound = search.mixture[1] - math.log(request.duration + request.move)
-    shortest, cheapest = search.cheapest(best) if request.wanted else (0.0, None)
+    best = search.best(standard)
     return Plan(
         request=request,
         candidates=candidates,
         usable=usable,
-        efficiency=math.exp(min(0.0, bound - value)),
         best=best,
         standard=standard,
-        cheapest=cheapest,
-        shortest=shortest,
+        cheapest=search.cheapest(best) if request.wanted else None,
     )
 
 
@@ -191,7 +183,6 @@ def plan_document(plan: Plan) -> dict[str, Any]:
             for v in best.visits
         ],
         "excluded": [{"position": one.label, "reason": reason} for one, reason in plan.excluded],
-        "efficiency": plan.efficiency,
         "planned": _prediction_document(plan, best),
         "standard": [_prediction_document(plan, p) for p in plan.standard],
         "software": f"piga {__version__}",
@@ -202,7 +193,6 @@ def plan_document(plan: Plan) -> dict[str, Any]:
         refused = {"refusal": plan.cheapest.refusal}
         document["cheapest"] = {
             "wanted": plan.request.wanted,
-            "bound_s": finite(plan.shortest),
             **(refused if plan.cheapest.refusal else told),
         }
     return document

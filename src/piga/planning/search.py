@@ -1,23 +1,19 @@
-"""Optimal design: criteria for information matrices, the least value of a mixture, and the search for visits.
+"""Optimal design: criteria for information matrices, and the search for visits.
 
 With ``C = M^-1`` the covariance and ``L`` the rows of interest, all criteria are logarithms of
 homogeneous convex functions of ``M``: D ``log det(L C L')/r``;
 power means ``(1/p) log mean((L C L')_ii^p)``, with p = 1 the A-criterion, r = 1 the c-criterion, and
-large p the largest entry. Each has the derivative ``-tr(S dM)`` with ``tr(S M) = 1``, so the general
-equivalence theorem reads: a mixture is optimal if and only if no candidate has
-``tr(S A_j) > 1``; for D this is the statement that the largest directional derivative ``r tr(S A_j)``
-equals the number r of parameters.
+large p the largest entry.
 
 A test has visits in pairs: the calibration refuses a position that alone determines a coefficient, and two visits show its
-scatter. All dwells are equal, but for whole revolutions. For each number of pairs the best mixture is rounded to whole pairs,
-and pairs are exchanged as long as the criterion falls.
+scatter. All dwells are equal, but for whole revolutions. For each number of pairs the search begins with evenly spaced
+positions, and exchanges pairs as long as the criterion falls.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -28,16 +24,6 @@ from piga.planning.candidates import Candidate, PlanRequest, Prediction, Visit, 
 from piga.records.terms import unit_of
 from piga.results import Array
 
-_GAP = 1e-6
-"""Excess of the largest directional derivative over its value at the optimum that ends the search."""
-_ROUNDS = 2000
-"""Most steps towards the best mixture."""
-_SLOW_POWER = 9.0
-"""Power of the criterion above which the first steps towards the best mixture are not smaller."""
-_SLOWER = 0.7
-"""Factor on the power of the derivative in the steps after one that made the mixture worse."""
-_MIXED = 1e-6
-"""Share of the equal mixture in every candidate. It keeps the mixture regular if the optimum is singular."""
 _RIDGE = 1e-13
 """Information added to each scaled parameter, so that a singular plan has a finite, useless value."""
 _ROUNDING = 1e-14
@@ -56,6 +42,8 @@ _STRIDE = 0.381966
 """Step from one visit to the next in shuffled order, as a share of the visits (the golden section)."""
 _ATTEMPTS = 20
 """Most durations tried to reach a wanted uncertainty."""
+_SHORTER = 0.75
+"""Duration tried first, as a share of that of a test whose variances fall as its time grows."""
 _LONGER = 1.2
 """Factor on the duration after a test that the calibration would refuse."""
 
@@ -91,21 +79,6 @@ class Criterion:
             total += share * (top + np.log(np.mean(np.exp(logs - top[..., None]), axis=-1))) / power
         return total
 
-    def sensitivity(self, information: Array) -> Array:
-        """``S`` with derivative ``-tr(S dM)``, (m, m)."""
-        covariance = _covariance(information)
-        total = np.zeros_like(covariance)
-        for share, rows, power in self._parts():
-            crossed = covariance @ rows.T
-            reduced = rows @ crossed
-            if power == 0.0:
-                total += share * crossed @ np.linalg.inv(reduced) @ crossed.T / rows.shape[0]
-                continue
-            variances = np.diag(reduced)
-            shares = (variances / variances.max()) ** power
-            total += share * (crossed * (shares / shares.sum() / variances)) @ crossed.T
-        return total
-
 
 def _covariance(information: Array) -> Array:
     """Inverse of information matrices (..., m, m); that of a singular one is large and finite."""
@@ -114,38 +87,12 @@ def _covariance(information: Array) -> Array:
     return np.asarray(np.linalg.inv(information + added), dtype=np.float64)
 
 
-def best_mixture(candidates: Array, criterion: Criterion) -> tuple[Array, float, float]:
-    """Shares of the best mixture of information matrices (n, m, m), lower bound of the criterion, and largest ``tr(S A_j)``.
-
-    The criterion of any mixture lies above that of the best one by at most the logarithm of its largest derivative. Each step
-    multiplies the share of a candidate by a power of its derivative.
-    """
-    matrices = (1.0 - _MIXED) * candidates + _MIXED * candidates.mean(axis=0)
-    shares = np.full(matrices.shape[0], 1.0 / matrices.shape[0])
-    bound, largest, last, power = -np.inf, np.inf, np.inf, 1.0 / (1.0 + min(criterion.power, _SLOW_POWER))
-    for _ in range(_ROUNDS):
-        total = np.tensordot(shares, matrices, 1)
-        derivatives = np.einsum("ij,nji->n", criterion.sensitivity(total), matrices)
-        largest = min(largest, float(derivatives.max()))
-        value = float(criterion.values(total))
-        bound = max(bound, value - float(np.log(derivatives.max())))
-        if largest - 1.0 < _GAP:
-            break
-        power *= _SLOWER if value > last else 1.0
-        last = value
-        shares *= derivatives**power
-        shares /= shares.sum()
-    return shares, bound, largest
-
-
-def _whole_pairs(
-    matrices: Array, criterion: Criterion, shares: Array, count: int
-) -> tuple[float, NDArray[np.int64]]:
-    """Criterion and places (count,) of the best pairs found from the ``shares`` (n,) of a mixture on.
+def whole_pairs(matrices: Array, criterion: Criterion, count: int) -> tuple[float, NDArray[np.int64]]:
+    """Criterion and places (count,) of the best pairs found from evenly spaced places on.
 
     ``matrices`` (n, m, m) hold the information of a pair at each place.
     """
-    places = np.searchsorted(np.cumsum(shares[:-1]), (np.arange(count) + 0.5) / count)
+    places = ((np.arange(count) + 0.5) * len(matrices) / count).astype(np.int64)
     value = float(criterion.values(matrices[places].sum(axis=0)))
     while True:
         taken, first = np.unique(places, return_index=True)
@@ -187,13 +134,6 @@ class Search:
         criterion = _criterion(request, scale, request.table.plan.criterion, request.wanted)
         return cls(request, usable, dwells, tables * np.outer(scale, scale), scale, criterion)
 
-    @cached_property
-    def mixture(self) -> tuple[Array, float, float]:
-        """Shares of the best mixture by place, least value of the criterion for one second of test, largest derivative there."""
-        rates = self.tables / (self.dwells + self.request.move)[:, None, None]
-        shares, *bound = best_mixture(rates.reshape(-1, *self.tables.shape[2:]), self.criterion)
-        return shares.reshape(len(self.usable), -1).sum(axis=1), *bound
-
     def value(self, prediction: Prediction) -> float:
         """The criterion of a predicted covariance; infinite if there is none."""
         if prediction.refusal:
@@ -202,8 +142,8 @@ class Search:
         covariance = prediction.covariance[np.ix_(keep, keep)] / np.outer(self.scale, self.scale)
         return float(self.criterion.values(np.asarray(np.linalg.inv(covariance), dtype=np.float64)))
 
-    def best(self, standard: tuple[Prediction, ...]) -> tuple[Prediction, float]:
-        """The best test and its criterion; a standard plan that keeps the margin if no test is better."""
+    def best(self, standard: tuple[Prediction, ...]) -> Prediction:
+        """The best test; a standard plan that keeps the margin if no test is better."""
         planned = self._test("planned", self.request.duration)
         value = self.value(planned)
         for prediction in standard:
@@ -214,12 +154,12 @@ class Search:
             raise IdentifiabilityError(
                 planned.refusal, remedy="give the test more time, a shorter minimum_dwell, or fewer terms"
             )
-        return planned, value
+        return planned
 
-    def cheapest(self, best: Prediction) -> tuple[float, Prediction]:
-        """Lower bound [s] of the duration of tests that reach the wanted standard uncertainties, and the shortest one found.
+    def cheapest(self, best: Prediction) -> Prediction:
+        """The shortest test found that reaches the wanted standard uncertainties. Its refusal says why there is none.
 
-        Type B of the stand is included. Its refusal says why there is none.
+        Type B of the stand is included.
         """
         request, targets = self.request, {}
         for name, wanted in request.wanted.items():
@@ -227,19 +167,19 @@ class Search:
             if by_stand >= wanted:
                 added = f"the stand alone adds {by_stand:.2g} {unit_of(name, request.unit)} to {name}"
                 refusal = f"{added}: {wanted:.2g} cannot be reached in any time"
-                return math.inf, Prediction("cheapest", (), math.inf, refusal=refusal)
+                return Prediction("cheapest", (), math.inf, refusal=refusal)
             targets[name] = math.sqrt(wanted**2 - by_stand**2)
         search = replace(self, criterion=_criterion(request, self.scale, "wanted", targets))
-        bound = math.exp(search.mixture[1]) - request.move
-        duration = max(bound, 2.0 * request.minimum_dwell + request.move)
+        plan, least = search._test("cheapest", request.duration), 2.0 * request.minimum_dwell + request.move
+        over = 1.0 if plan.refusal else max(plan.std(name) / target for name, target in targets.items())
+        duration = max(_SHORTER * over**2 * request.duration, least)
         for _ in range(_ATTEMPTS):
             plan = search._test("cheapest", duration)
             ratio = max(plan.combined(name) / wanted for name, wanted in request.wanted.items())
             if ratio <= 1.0:
-                return max(bound, 0.0), plan
+                return plan
             duration *= _LONGER if plan.refusal else min(max(ratio**2, 1.005), 2.0)
-        refusal = "no test was found that reaches it: add positions or allow longer dwells"
-        return bound, replace(plan, refusal=refusal)
+        return replace(plan, refusal="no test was found that reaches it: add positions or allow longer dwells")
 
     def _test(self, name: str, duration: float) -> Prediction:
         """The best test of this duration [s] that the calibration does not refuse, of several numbers of pairs."""
@@ -249,7 +189,7 @@ class Search:
         for count in sorted({math.floor(x + 1e-9) for x in np.geomspace(max(ends[0], 1.0), ends[1], _NUMBERS)}):
             dwells = self._cut(min(0.5 * (duration + request.move) / count - request.move, self.dwells[-1]))
             pairs = 2.0 * self._information(dwells)
-            value, places = _whole_pairs(pairs, guarded, self.mixture[0], count)
+            value, places = whole_pairs(pairs, guarded, count)
             found.append((value, [(int(k), float(dwells[k])) for k in np.repeat(np.sort(places), 2)]))
         for _, visits in sorted(found):
             held = tuple(Visit(self.usable[k], request.whole_samples(dwell)) for k, dwell in visits)
