@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks import measured
 from benchmarks.constant_force import ConstantForce, Joint, read_cases
 
-from piga.campaign.subjects import Outcome, of_calibration
+from piga.campaign.shards import Outcome, of_calibration
 
 CASES = Path(__file__).parent / "cases" / "coverage.toml"
 
@@ -71,7 +71,7 @@ def row(tests: list[Tested]) -> dict[str, measured.Value]:
     """The columns of a case: worst and best coefficient, bias, variance over the bound, NEES."""
     outcomes, bound = [outcome for outcome, _ in tests], np.array([bound for _, bound in tests])
     low, high, truth, error = (
-        np.array([outcome.columns[key] for outcome in outcomes])
+        np.array([[row[key] for row in outcome.rows] for outcome in outcomes])
         for key in ("low", "high", "truth", "deviation")
     )
     held = (low <= truth) & (truth <= high)

@@ -19,8 +19,7 @@ import numpy as np
 
 import piga
 from piga.ledger import prepare_run
-from piga.ledger.store import Draft, DraftFile
-from piga.ledger.store.documents import encode, sha256
+from piga.ledger.store import Draft, DraftFile, encode, sha256
 from piga.ledger.store.transfer import export_records, import_records
 
 CORPUS = Path(__file__).parent.parent / "tests" / "ledger" / "store" / "corpus"

@@ -75,8 +75,7 @@ def test_live_streams() -> None:
 def test_certificates() -> None:
     etree = pytest.importorskip("lxml.etree")
     from piga.certificate.dcc import calibration_of as calibration_in
-    from piga.certificate.dcc import dcc_document
-    from piga.certificate.xml_signature import parse_xml
+    from piga.certificate.dcc import dcc_document, parse_xml
 
     draw = seeded(24)
     cal = budgeted(calibration(serial="G-0417", with_residuals=False))

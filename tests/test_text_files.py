@@ -17,7 +17,7 @@ from pyarrow import parquet
 import piga
 from piga.calibration import RunSummary
 from piga.certificate.certificate_file import read_certificate_file
-from piga.certificate.xml_signature import load_certificate, read_xml
+from piga.certificate.dcc import load_certificate, read_xml
 from piga.errors import PigaError
 from piga.formats.text.reader import TextStream
 from piga.records.run_file import read_run_file

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import piga
-from piga.certificate.dcc import read_dcc
-from piga.certificate.xml_signature import verify_signature
+from piga.certificate.dcc import read_dcc, verify_signature
 from piga.gravity_norm import calibrate_set_file
 from piga.noise import allan_deviation
 from piga.units import G0

@@ -108,8 +108,7 @@ def computed(path: Path, out: Path, shards: Iterable[int] | None = None) -> Camp
 def collected(folder: Path) -> dict[str, bytes]:
     """The files that ``collect`` writes, computed in this process."""
     from piga.campaign import collect, open_campaign
-    from piga.campaign.collect import write_table
-    from piga.campaign.page import campaign_page
+    from piga.campaign.collect import campaign_page, write_table
     from piga.reports.render.page import page_html, page_text
 
     result = collect(open_campaign(folder))

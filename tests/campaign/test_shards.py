@@ -1,7 +1,6 @@
 """The folder of a campaign, parts that cannot be trusted, and runs on Dask: the same bits however often they are killed."""
 
 import contextlib
-import fcntl
 import json
 import os
 import signal
@@ -188,14 +187,6 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert all(part.name.startswith("part-") for part in (out / "parts").iterdir())
 
 
-def test_two_runs_in_one_folder(tmp_path):
-    campaign = plan_campaign(written(tmp_path), tmp_path / "out")
-    with (tmp_path / "out" / "running.lock").open("w") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        with pytest.raises(PigaError, match="another 'piga campaign run' works in this folder"):
-            run_campaign(campaign, workers=1)
-
-
 def test_a_caller_stops_a_run(tmp_path):
     campaign = plan_campaign(written(tmp_path), tmp_path / "out")
     with pytest.raises(CancelledError, match="stopped before"):
@@ -205,8 +196,11 @@ def test_a_caller_stops_a_run(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"workers": 0}, "at least one is needed"),
-        ({"workers": 2, "executor": "tcp://127.0.0.1:1"}, "--workers is for this machine only"),
+        ({"workers": 0}, "is the number of processes of this machine, at least one"),
+        (
+            {"workers": 2, "executor": "tcp://127.0.0.1:1"},
+            "--workers 2: is the number of processes of this machine",
+        ),
         ({"executor": "127.0.0.1:1"}, "needs a tls:// address"),
         ({"executor": "tcp://192.0.2.1:8786"}, "needs a tls:// address"),
     ],

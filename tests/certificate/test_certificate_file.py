@@ -65,7 +65,9 @@ def test_an_empty_file_lists_everything_at_once(cal, tmp_path):
         assert item in str(refused.value)
 
 
-@pytest.mark.parametrize(("table", "key"), [needed[:2] for needed in certificate_file._NEEDED])
+@pytest.mark.parametrize(
+    ("table", "key"), [(table, key) for _, table, keys in certificate_file._NEEDED for key in keys]
+)
 def test_each_item_is_needed(cal, table, key):
     empty = getattr(getattr(CertificateFile(), table), key)
     empty = "" if key == "sampling" else empty

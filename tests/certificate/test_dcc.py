@@ -7,21 +7,17 @@ import datetime as dt
 import json
 import math
 from dataclasses import replace
-from decimal import Decimal
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import stats
 
-import piga
 from piga.calibration.uncertainty import with_given_servo
 from piga.certificate.certificate_file import ConformityTable
-from piga.certificate.dcc import DIGITS, G, dsi_unit, power_of_g, to_dsi
-from piga.errors import DataError, PigaError
+from piga.certificate.dcc import dsi_unit, to_dsi
+from piga.errors import PigaError
 from piga.records.calibration.coefficient import Coefficient, joint_factor
 from piga.records.calibration.diagnostics import Diagnostics
 from piga.records.calibration.document import to_document
@@ -31,8 +27,7 @@ from tests.reports.example import calibration
 
 etree = pytest.importorskip("lxml.etree")
 
-from piga.certificate.dcc import calibration_of, dcc_document, read_dcc  # noqa: E402
-from piga.certificate.xml_signature import written  # noqa: E402
+from piga.certificate.dcc import calibration_of, dcc_document, read_dcc, written  # noqa: E402
 
 N = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 needs_schemas = pytest.mark.skipif(
@@ -124,10 +119,6 @@ def test_a_given_servo_without_an_uncertainty_comes_back(cal, tmp_path):
     raw = document(exact)
     again = back(raw, tmp_path)
     assert (again["servo"].value, again["servo"].std) == (exact["servo"].value, 0.0)
-    wrong = raw.replace(b"<si:significantDigit>-23<", b"<si:significantDigit>-22<")
-    assert wrong != raw
-    with pytest.raises(DataError, match="significantDigit of servo is '-22'"):
-        back(wrong, tmp_path)
 
 
 def test_conditions_are_si(cal):
@@ -138,7 +129,7 @@ def test_conditions_are_si(cal):
         real = condition.find(".//si:real", N)
         texts = [real.findtext(f".//si:{name}", "", N) for name in ("value", "unit", "valueExpandedMU")]
         values[condition.findtext("dcc:name/dcc:content", "", N)] = tuple(texts)
-    assert values["Air temperature"] == ("293.45", r"\kelvin", "0.40")
+    assert values["Air temperature"] == ("293.45", r"\kelvin", "0.4")
     assert float(values["Relative humidity"][0]) == pytest.approx(0.46, abs=1e-16)
     gravity, unit, expanded = values["Local gravity"]
     assert (float(gravity), unit, float(expanded)) == (9.80166, r"\metre\second\tothe{-2}", 2e-6)
@@ -162,7 +153,6 @@ def test_numbers_are_si(cal):
     assert float(expanded.findtext("si:coverageFactor", "", N)) == pytest.approx(k, abs=1e-6)
     u = float(expanded.findtext("si:valueExpandedMU", "", N))
     assert u == pytest.approx(k * cal["scale_factor"].std / 9.80665, rel=1e-12)
-    assert int(scale.findtext("si:significantDigit", "", N)) == math.floor(math.log10(u)) - 1
 
 
 def test_covariance_is_multivariate_uncertainty_in_products_of_units(cal):
@@ -202,8 +192,8 @@ def test_joint_region_holds_95_percent(degrees):
 
 
 @pytest.mark.parametrize("name", [*UNITS, "s1", "c3"])
-def test_powers_of_g_are_those_of_the_units(name):
-    assert 9.80665 ** power_of_g(unit_of(name)) == pytest.approx(si_factor(name), rel=1e-15)
+def test_every_unit_of_a_coefficient_is_si(name):
+    assert float(to_dsi(1.7, unit_of(name))) == pytest.approx(1.7 * si_factor(name), rel=1e-15)
 
 
 def test_units_of_the_digital_si():
@@ -215,20 +205,6 @@ def test_units_of_the_digital_si():
     assert dsi_unit("count/s/g") == r"\metre\tothe{-1}\second"
     assert dsi_unit("V/g") == r"\metre\tothe{-1}\second\tothe{2}\volt"
     assert dsi_unit("mA/g", "g") == r"\ampere"
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e200, max_value=1e200).filter(
-    lambda x: x == 0.0 or abs(x) > 1e-200
-)
-
-
-@settings(max_examples=400, deadline=None)
-@given(finite, st.sampled_from([(), ("rad/s/g", "g/g^3"), ("g",), ("g", "g"), ("g/g^2", "g")]))
-def test_numbers_come_back_to_the_bit(value, units):
-    text = to_dsi(value, *units)
-    power = sum(power_of_g(unit) for unit in units)
-    assert float(Decimal(text) / G**power) == value
-    assert len(Decimal(text).as_tuple().digits) <= DIGITS or power == 0
 
 
 @pytest.fixture(scope="module")
@@ -307,36 +283,41 @@ def test_another_release_may_use_other_words(stated):
         calibration_of(root, Path("x.xml"))
 
 
-def test_a_certificate_of_piga_0_2_without_its_data_is_read_by_its_results(stated):
+def test_a_certificate_without_its_data_is_refused(stated):
     root = etree.fromstring(stated)
-    for kind in ("piga_certificateData", "piga_calibrationBefore"):
-        data = root.find(f".//dcc:byteData[@refType='{kind}']", N)
-        result = data.getparent().getparent()
-        result.getparent().remove(result)
-    with pytest.raises(PigaError, match="lacks the attached data"):
-        calibration_of(root, Path("x.xml"))
-    root.find(".//dcc:dccSoftware/dcc:software/dcc:release", N).text = "v0.2.0"
-    with pytest.warns(piga.PigaWarning, match=r"made by piga 0\.2"):
-        assert calibration_of(root, Path("x.xml"))["k0"].limits == (1.5001e-3, 1.70035e-3)
-    root.find(".//dcc:result[@refType='basic_measuredValue']//si:real/si:value", N).text = "0.0906"
-    with pytest.raises(PigaError, match=r"contradicts itself: .*value of scale_factor"):
+    data = root.find(".//dcc:byteData[@refType='piga_certificateData']", N)
+    result = data.getparent().getparent()
+    result.getparent().remove(result)
+    with pytest.raises(PigaError, match=r"lacks the attached data(?s:.*)piga 0\.2 with that version"):
         calibration_of(root, Path("x.xml"))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (b"<dcc:results>", b"<dcc:results><dcc:result><dcc:name/><dcc:data/></dcc:result>", "parts, not"),
-        (b"</dcc:coreData>", b"<dcc:issueDate>2026-03-10</dcc:issueDate></dcc:coreData>", "parts, not"),
-        (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "text beside its parts"),
-        (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "comments"),
-        (b"<si:label>k2<", b"<si:label value='3'>k2<", "stands where"),
+        (
+            b"<dcc:results>",
+            b"<dcc:results><dcc:result><dcc:name/><dcc:data/></dcc:result>",
+            "is not there as piga writes it",
+        ),
+        (
+            b"</dcc:coreData>",
+            b"<dcc:issueDate>2026-03-10</dcc:issueDate></dcc:coreData>",
+            "is not there as piga writes it",
+        ),
+        (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "label of k2 is not there"),
+        (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "label of k2 is not there"),
+        (b"<si:label>k2<", b"<si:label value='3'>k2<", "label of k2 is not there"),
         (b"digitalCalibrationCertificate", b"digitalCalibration", "not a Digital Calibration Certificate"),
         (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
         (b"piga_calibrationRecord", b"other", "no calibration record"),
         (b"<dcc:dataBase64>e", b"<dcc:dataBase64>!", "record is damaged"),
         (b"<si:valueStandardMUXMLList>1", b"<si:valueStandardMUXMLList>2", "valueStandardMUXMLList is"),
-        (b"<si:columnXMLList>", b"<si:columnXMLList/><si:columnXMLList>", "has 7 parts, not 6"),
+        (
+            b"<si:columnXMLList>",
+            b"<si:columnXMLList/><si:columnXMLList>",
+            "covarianceMatrixXMLList is not there",
+        ),
     ],
 )
 def test_a_certificate_has_one_form(stated, old, new, words):

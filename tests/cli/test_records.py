@@ -99,7 +99,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
     [
         (["list"], "Missing option '--store'"),
         (["list", "--store", "none.sqlite"], "No such file"),
-        (["list", "--store", "text.txt"], "is not a store of records"),
+        (["list", "--store", "text.txt"], "file is not a database"),
         (["show", "77", "--store", "a.sqlite"], "no record 77"),
         (["show", "first", "--store", "a.sqlite"], "is not a record"),
         (
@@ -107,7 +107,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
             "text.txt: File exists\n  remedy: check name",
         ),
         (["verify"], "nothing to verify"),
-        (["verify", "--store", "bad.sqlite"], "damaged"),
+        (["verify", "--store", "bad.sqlite"], "malformed"),
         (["verify", "--store", "bad.sqlite"], "remedy: keep it as it is"),
         (
             ["verify", "none.zip"],
@@ -128,7 +128,7 @@ def test_a_difference_is_given_in_its_own_uncertainty(tmp_path: Path, records: C
         (["add", "none.toml", *LAB, *WHO, "--measured", "soon"], "--measured soon: is not a date"),
         (
             ["add", "none.toml", "--store", "text.txt", "--operator", "A", "--reason", "B"],
-            "is not a store of records",
+            "file is not a database",
         ),
     ],
 )
@@ -358,8 +358,7 @@ def expired(lab):
     from cryptography.x509 import load_pem_x509_certificate
     from signxml.signer import XMLSigner
 
-    from piga.certificate.dcc import dcc_document
-    from piga.certificate.xml_signature import written
+    from piga.certificate.dcc import dcc_document, written
 
     key, certificate = (path.read_bytes() for path in key_pair(lab, "expired", start=-2000, days=1700))
     root = dcc_document(complete(serial="tumble-a"), calibration(serial="tumble-a", with_residuals=False))

@@ -138,11 +138,6 @@ class CampaignPlan:
     documents: Mapping[str, dict[str, Any]] = field(repr=False)
 
     @property
-    def seed(self) -> int:
-        """Seed of the campaign."""
-        return self.file.campaign.seed
-
-    @property
     def records(self) -> int:
         """Number of records."""
         return self.groups[-1].start + self.groups[-1].records
@@ -161,7 +156,7 @@ class CampaignPlan:
         document = deepcopy(self.documents[record.group.scenario])
         for key, value in record.group.values.items():
             _replace_value(document, key, value)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(record.case,)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.file.campaign.seed, spawn_key=(record.case,)))
         for key, table in self.file.draw.items():
             try:
                 _replace_value(document, key, _drawn(table, rng))
@@ -180,17 +175,14 @@ class CampaignPlan:
 
     def seed_of(self, record: RecordName) -> int:
         """Seed of a record, as ``piga simulate --seed`` takes it: the same on every machine, in every order."""
-        sequence = np.random.SeedSequence(self.seed, spawn_key=(record.case, record.repeat))
+        sequence = np.random.SeedSequence(self.file.campaign.seed, spawn_key=(record.case, record.repeat))
         return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def _stand(path: Path, document: dict[str, Any]) -> Scenario:
     table = convert_toml(path, document, ScenarioTable)
-    for part, kind in (
-        ("model", ModelTable),
-        ("estimation", EstimationTable),
-        ("uncertainty", UncertaintyTable),
-    ):
+    kinds = {"model": ModelTable, "estimation": EstimationTable, "uncertainty": UncertaintyTable}
+    for part, kind in kinds.items():
         convert_table(part, getattr(table, part), kind)
     if table.truth.get("k1"):
         raise ArgumentError(

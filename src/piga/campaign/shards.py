@@ -1,4 +1,4 @@
-"""A campaign on disk and on its way: the manifest, a part (Parquet) for each shard, and the run on Dask that computes them.
+"""A campaign on disk and on its way: the manifest, records, a part (Parquet) for each shard, and the run on Dask.
 
 ``manifest.json`` holds the campaign file, the scenario files, the length of a shard and the software. A shard is a range of
 records. ``parts/part-NNNNN-DIGEST.parquet`` is its result. The digest is the SHA-256 of campaign, shard number and bytes, so
@@ -20,30 +20,40 @@ import queue
 import re
 import signal
 import socket
+import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
+import numpy as np
 
-from piga.campaign.campaign_file import CampaignPlan, Count, plan_of, read_campaign
-from piga.campaign.subjects import compute
-from piga.errors import ArgumentError, DataError, PigaError, needed
+from piga.campaign.campaign_file import CampaignPlan, Count, RecordName, plan_of, read_campaign
+from piga.errors import ArgumentError, DataError, PigaError, PigaWarning, needed
 from piga.output import write_whole
 from piga.progress import Progress
 from piga.progress import report as report_progress
-from piga.text_files import converted, first_line
+from piga.records.calibration.coefficient import changes
+from piga.records.calibration.diagnostics import SCATTER
+from piga.results import Array
+from piga.stand.scenario import Scenario, run_scenario
+from piga.text_files import converted, first_line, toml_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MANIFEST, _PARTS, _LOCK = "manifest.json", "parts", "running.lock"
+    from piga.platform.scenario import PlatformScenario
+    from piga.records import Calibration
+    from piga.stand.simulate import SimulatedTest
+
+MANIFEST, _PARTS = "manifest.json", "parts"
 _PART = re.compile(r"part-(\d{5,})-[0-9a-f]{32}\.parquet")
 _SHARDS = 500
 """Most shards, unless the campaign file has ``records_per_shard``: a killed run loses little, and workers have work."""
@@ -176,6 +186,111 @@ def _check_software(campaign: Campaign) -> None:
         )
 
 
+# --- one record --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Numbers of one record: ``rows`` has one for each coefficient or quantity, in the units of calibration.json.
+
+    ``low`` and ``high`` are the ends of the 95 % interval. ``deviation`` is value minus ``truth``; for a phase it is taken to
+    the nearest turn. ``z`` is that over ``u``. Unknown values are nan; a quantity without truth has ``name``, ``unit`` and
+    ``value`` alone. ``nees`` is the mean square of all errors in their covariance, ``nees_expected`` its expected value for
+    Student's t. ``seen`` names what the calibration reports: kinds of noise, terms it suggests, and a doubt about the noise.
+    """
+
+    rows: list[dict[str, Any]]
+    nees: float = math.nan
+    nees_expected: float = math.nan
+    seen: tuple[str, ...] = ()
+
+
+def compute(plan: CampaignPlan, record: RecordName) -> Outcome:
+    """Compute a record."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PigaWarning)
+        scenario, seed = plan.scenario(record), plan.seed_of(record)
+        return _simulated(scenario, seed) if isinstance(scenario, Scenario) else _platform_run(scenario, seed)
+
+
+def scenario_text(plan: CampaignPlan, record: RecordName) -> str:
+    """The scenario file of a record: that of the campaign with the values and the seed of the record."""
+    document = plan.document(record)
+    return toml_text(document | {"run": document.get("run", {}) | {"seed": plan.seed_of(record)}})
+
+
+def of_calibration(calibration: Calibration, truth: Array) -> Outcome:
+    """The outcome of a calibration with its truth (nan where it is not known)."""
+    coefficients = calibration.coefficients
+    u = np.array([c.std for c in coefficients])
+    error = changes(coefficients, truth, np.array([c.value for c in coefficients]))
+    nees = expected = math.nan
+    if np.isfinite(error).all() and error.size:
+        nees = float(error @ np.linalg.solve(calibration.covariance, error)) / error.size
+        degrees = np.array([c.degrees_of_freedom or math.inf for c in coefficients])
+        expected = float(np.mean(1.0 / (1.0 - 2.0 / np.maximum(degrees, 3.0))))
+    names = ("name", "unit", "value", "u", "low", "high", "degrees_of_freedom", "truth", "deviation", "z")
+    with np.errstate(all="ignore"):
+        numbers = zip(truth.tolist(), error.tolist(), (error / u).tolist(), strict=True)
+    rows = []
+    for c, judged in zip(coefficients, numbers, strict=True):
+        values = (c.key, c.unit, c.value, c.std, *c.limits, c.degrees_of_freedom or math.inf, *judged)
+        rows.append(dict(zip(names, values, strict=True)))
+    return Outcome(rows, nees, expected, _seen(calibration))
+
+
+def _seen(calibration: Calibration) -> tuple[str, ...]:
+    """What a calibration reports of noise and of missing terms."""
+    scatters = calibration.diagnostics.worst > SCATTER
+    noise = {
+        "random walk": calibration.angle_random_walk > 0.0,
+        "scatter of the segments": calibration.segment_scatter > 0.0,
+        "doubt about the noise": scatters or any(doubt.noise for doubt in calibration.verdict.doubts),
+    }
+    missing = calibration.diagnostics.missing_terms
+    suggested = dict.fromkeys(f"suggested: {' '.join(entry.terms)}" for entry in missing)
+    return (*(name for name, there in noise.items() if there), *suggested)
+
+
+def _simulated(scenario: Scenario, seed: int) -> Outcome:
+    """Simulate, write the files of a lab, read them and calibrate, as a user does."""
+    from piga.calibration.calibrate import calibrate
+    from piga.stand import read_run
+    from piga.stand.write_run import run_file_text, write_data
+
+    test = run_scenario(scenario, seed=seed)
+    with tempfile.TemporaryDirectory(prefix="piga-campaign-") as folder:
+        run, data = Path(folder, "run.toml"), f"run.{scenario.table.run.format}"
+        write_data(test, Path(folder, data))
+        run.write_text(run_file_text(scenario, test, data), encoding="utf-8", newline="\n")
+        calibration = calibrate(read_run(run))
+    return of_calibration(calibration, _truth(test, calibration))
+
+
+def _truth(test: SimulatedTest, calibration: Calibration) -> Array:
+    """True values by coefficient. A term that the simulation lacks has the truth 0."""
+    from piga.stand.write_run import coefficients
+
+    truth = {(value.name, value.segment): value.value for value in coefficients(test)}
+
+    def one(name: str, segment: str | None) -> float:
+        return truth.get((name, segment), truth.get((name, None), math.nan if name == "phi" else 0.0))
+
+    return np.array([one(c.name, c.segment) for c in calibration.coefficients])
+
+
+def _platform_run(scenario: PlatformScenario, seed: int) -> Outcome:
+    from piga.platform.chain import compare, last_east_lines
+
+    labels = ("east_velocity_line", "east_velocity_equatorial_line")
+    rows: list[tuple[str, str, float]] = []
+    for model, run in compare(replace(scenario, seed=seed)).models.items():
+        rows.append((f"position_error[{model}]", "m", float(run.lines.position.max())))
+        values = zip(labels, last_east_lines(run.lines), strict=False)
+        rows += [(f"{label}[{model}]", "m/s", value) for label, value in values]
+    return Outcome([dict(zip(("name", "unit", "value"), row, strict=True)) for row in rows])
+
+
 # --- computing a shard: the task of a worker ---------------------------------------------------------
 
 
@@ -215,7 +330,7 @@ def _rows(campaign: Campaign, number: int) -> list[dict[str, Any]]:
         head["error_class"], head["error"] = type(error).__name__, (str(error) or repr(error))[:2000]
     else:
         head |= {name: getattr(outcome, name) for name in ("nees", "nees_expected", "seen")}
-        rows = [place | row for row in outcome.rows()]
+        rows = [place | row for row in outcome.rows]
     head["seconds"] = time.process_time() - began
     return [head, *rows]
 
@@ -310,37 +425,19 @@ def run_campaign(
     Raises
     ------
     PigaError
-        If another run works in the folder, a part is damaged, the cluster cannot be used, or parts cannot be written.
+        If a part is damaged, the cluster cannot be used, or parts cannot be written.
     """
-    with _alone(campaign.folder):
-        done, missing = campaign.parts(), campaign.missing()
-        for shard, path in done.items():
-            read_part(campaign, shard, path)
-        report = RunReport(campaign.shards, len(done))
-        if missing:
-            with _client(campaign, executor, workers, progress) as client:
-                try:
-                    _compute(client, campaign, missing, report, progress)
-                except (OSError, TimeoutError, CancelledError):
-                    raise PigaError("the scheduler is gone", remedy=f"start it again, then {_AGAIN}") from None
-        return report
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Refuse a second run in a folder."""
-    with (folder / _LOCK).open("a") as stream:
-        if os.name != "nt":
-            import fcntl
-
+    done, missing = campaign.parts(), campaign.missing()
+    for shard, path in done.items():
+        read_part(campaign, shard, path)
+    report = RunReport(campaign.shards, len(done))
+    if missing:
+        with _client(campaign, executor, workers, progress) as client:
             try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise PigaError(
-                    f"{folder}: another 'piga campaign run' works in this folder, or its disk has no locks ({error.strerror})",
-                    remedy="wait for it, or stop it",
-                ) from None
-        yield
+                _compute(client, campaign, missing, report, progress)
+            except (OSError, TimeoutError, CancelledError):
+                raise PigaError("the scheduler is gone", remedy=f"start it again, then {_AGAIN}") from None
+    return report
 
 
 # --- clusters ----------------------------------------------------------------------------------------
@@ -356,21 +453,18 @@ def _client(
 
     for name in ("distributed", "tornado", "asyncio"):  # what the user needs to know is said by the run
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    if workers is not None and (workers < 1 or executor is not None):
+        raise ArgumentError(
+            f"--workers {workers}: is the number of processes of this machine, at least one; a cluster (--executor) has its own",
+            remedy="leave --workers out, or write e.g. --workers 2",
+        )
     if executor is not None:
-        if workers is not None:
-            raise ArgumentError(
-                "--workers is for this machine only; with --executor the cluster has its own number of workers",
-                remedy="leave --workers out",
-            )
         client = _connected(distributed, executor)
         try:
             yield client
         finally:
             client.close(timeout=5)
         return
-    count = (os.cpu_count() or 1) if workers is None else workers
-    if count < 1:
-        raise ArgumentError(f"--workers {count}: at least one is needed", remedy="write e.g. --workers 2")
     report_progress(progress, 0, campaign.plan.records, "first record, and kernels where they are not compiled")
     with suppress(Exception):  # the workers then load the kernels; a record that fails is a row with its reason
         compute(campaign.plan, campaign.plan.record(0))
@@ -380,7 +474,9 @@ def _client(
     pages: dict[str, list[str]] = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     with dask.config.set({"distributed.scheduler.worker-saturation": 1.0, **pages}):
         with _without_ctrl_c():
-            cluster = distributed.LocalCluster(n_workers=count, host="127.0.0.1", env=_ONE_THREAD, **options)
+            cluster = distributed.LocalCluster(
+                n_workers=workers or os.cpu_count() or 1, host="127.0.0.1", env=_ONE_THREAD, **options
+            )
         with cluster, distributed.Client(cluster, set_as_default=False) as client:
             yield client
 

@@ -1,7 +1,7 @@
 """The administrative part of a certificate (TOML), and the check for items missing by ISO/IEC 17025:2017.
 
 The reader accepts a file without any key. :func:`missing_items` then lists all missing items at once, with the
-clauses that demand them. :func:`statements` words the statements of a complete certificate.
+clauses that demand them.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
 from piga.errors import UnitError
+from piga.keys import words_of
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import Coefficient
 from piga.records.run_file import TomlTable
@@ -201,33 +202,22 @@ def read_certificate_file(path: str | Path, *, content: str | None = None) -> Ce
 
 
 _NEEDED = (
-    ("certificate", "number", "7.8.2.1 d", "the unique number"),
-    ("certificate", "issued", "7.8.2.1 j", "the date of issue"),
-    ("laboratory", "name", "7.8.2.1 b", "the laboratory's name"),
-    ("laboratory", "street", "7.8.2.1 b", "the laboratory's address"),
-    ("laboratory", "city", "7.8.2.1 b", "the laboratory's address"),
-    ("laboratory", "country", "7.8.2.1 b", "the laboratory's country (two letters)"),
-    ("calibration", "place", "7.8.2.1 c", "where the work was done"),
-    ("customer", "name", "7.8.2.1 e", "the customer's name"),
-    ("customer", "city", "7.8.2.1 e", "the customer's address"),
-    ("customer", "country", "7.8.2.1 e", "the customer's country (two letters)"),
-    ("method", "name", "7.8.2.1 f", "the method"),
-    ("method", "documents", "7.8.2.1 f", "the documents of the method"),
-    ("item", "description", "7.8.2.1 g", "what the item is"),
-    ("item", "manufacturer", "7.8.2.1 g", "who made the item"),
-    ("item", "model", "7.8.2.1 g", "the item's model"),
-    ("item", "serial", "7.8.2.1 g", "the item's serial number"),
-    ("item", "condition", "7.8.2.1 g", "the condition of the item"),
-    ("item", "received", "7.8.2.1 h", "the date of receipt"),
-    ("calibration", "begin", "7.8.2.1 i", "the first day of the calibration"),
-    ("calibration", "end", "7.8.2.1 i", "the last day of the calibration"),
-    ("method", "sampling", "7.8.2.1 k", 'the sampling plan, or "not applicable"'),
-    ("method", "deviations", "7.8.2.1 n", 'additions, deviations and exclusions, or "none"'),
-    ("method", "external_results", "7.8.2.1 p", 'results from external providers, or "none"'),
-    ("adjustment", "performed", "7.8.4.1 d", "whether the item was adjusted"),
-    ("traceability", "statement", "7.8.4.1 c", "the statement of traceability"),
-    ("traceability", "standard", "7.8.4.1 c", "the standards that were used"),
+    ("7.8.2.1 b", "laboratory", ("name", "street", "city", "country")),
+    ("7.8.2.1 c", "calibration", ("place",)),
+    ("7.8.2.1 d", "certificate", ("number",)),
+    ("7.8.2.1 e", "customer", ("name", "city", "country")),
+    ("7.8.2.1 f", "method", ("name", "documents")),
+    ("7.8.2.1 g", "item", ("description", "manufacturer", "model", "serial", "condition")),
+    ("7.8.2.1 h", "item", ("received",)),
+    ("7.8.2.1 i", "calibration", ("begin", "end")),
+    ("7.8.2.1 j", "certificate", ("issued",)),
+    ("7.8.2.1 k", "method", ("sampling",)),
+    ("7.8.2.1 n", "method", ("deviations",)),
+    ("7.8.2.1 p", "method", ("external_results",)),
+    ("7.8.4.1 c", "traceability", ("statement", "standard")),
+    ("7.8.4.1 d", "adjustment", ("performed",)),
 )
+"""Clauses of ISO/IEC 17025:2017, and the keys of a table that they demand."""
 
 
 def missing_items(
@@ -245,16 +235,22 @@ def missing_items(
         The calibration before adjustment, if there is one.
     """
     missing = [
-        f"[{table}] {key} ({clause}): {what}"
-        for table, key, clause, what in _NEEDED
+        f"[{table}] {key} ({clause}): {words_of(type(getattr(data, table)), key).sentence}"
+        for clause, table, keys in _NEEDED
+        for key in keys
         if getattr(getattr(data, table), key) in ("", None, ())
     ]
-    missing += [*_texts(data), *_conditions(data), *_order_of_dates(data, calibration)]
-    missing += [*_adjustment(data, calibration, before), *_numbers(data, calibration)]
-    return [*missing, *_gravity(data, calibration), *_conformity(data, calibration)]
+    missing += [*_entries(data), *_order_of_dates(data, calibration), *_adjustment(data, calibration, before)]
+    return [
+        *missing,
+        *_numbers(data, calibration),
+        *_gravity(data, calibration),
+        *_conformity(data, calibration),
+    ]
 
 
-def _texts(data: CertificateFile) -> Iterator[str]:
+def _entries(data: CertificateFile) -> Iterator[str]:
+    """What is missing or wrong in the data alone."""
     if not (data.people.authorised.name and data.people.authorised.role):
         yield "[people.authorised] name and role (7.8.2.1 o): who authorises the certificate"
     for table in ("laboratory", "customer"):
@@ -267,9 +263,6 @@ def _texts(data: CertificateFile) -> Iterator[str]:
         yield "[statements] opinions_by (7.8.7.1): the person who is authorised to give opinions"
     if data.statements.recalibrate and not data.statements.interval_agreed:
         yield "[statements] interval_agreed (7.8.4.3): an interval may stand only where the customer agreed to it"
-
-
-def _conditions(data: CertificateFile) -> Iterator[str]:
     if not data.environment:
         yield "[[environment]] (7.8.4.1 b): the conditions that influence the results, e.g. the temperature"
     for condition in data.environment:
@@ -291,11 +284,11 @@ def _gravity(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
             stated, used = to_si(condition.value, "m/s^2", what=condition.name), float(number)
         except UnitError:
             continue
-        if abs(used / stated - 1.0) > K.std / abs(K.value):
+        change, u = 1e6 * abs(used / stated - 1.0), 1e6 * K.std / abs(K.value)
+        if change > u:
             yield (
                 f"[[environment]] {condition.name} (7.8.4.1 b): {condition.value}, but the reference contains "
-                f"{calibration.gravity}: K differs by {1e6 * abs(used / stated - 1.0):.3g} ppm, "
-                f"its standard uncertainty is {1e6 * K.std / abs(K.value):.3g} ppm"
+                f"{calibration.gravity}: K differs by {change:.3g} ppm, its standard uncertainty is {u:.3g} ppm"
             )
 
 
@@ -308,13 +301,13 @@ def quantity_text(text: str) -> tuple[float, str]:
 
 def _order_of_dates(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     issued = data.certificate.issued
-    steps = (
-        ("[item] received", data.item.received),
-        ("[calibration] begin", data.calibration.begin),
-        ("[calibration] end", data.calibration.end),
-        ("[certificate] issued", issued),
-    )
-    given = [(name, date) for name, date in steps if date is not None]
+    steps = {
+        "[item] received": data.item.received,
+        "[calibration] begin": data.calibration.begin,
+        "[calibration] end": data.calibration.end,
+        "[certificate] issued": issued,
+    }
+    given = ((name, date) for name, date in steps.items() if date is not None)
     for (first, earlier), (second, later) in itertools.pairwise(given):
         if later < earlier:
             yield f"{second} (7.8.2.1): {later} is before {first}, {earlier}"
@@ -346,17 +339,15 @@ def _numbers(data: CertificateFile, calibration: Calibration) -> Iterator[str]:
     for c in calibration.coefficients:
         if not c.degrees_of_freedom >= 1.0:
             yield f"calibration (7.8.4.1 a): too few degrees of freedom for an expanded uncertainty of {c.key}"
-    for c in calibration.coefficients:
         exact = c.std == 0.0 and c.name in SERVO_TERMS  # given by [instrument] servo without an uncertainty
         if not exact and not (c.std > 0.0 and math.isfinite(c.std)):
             yield f"calibration (7.8.4.1 a): {c.key} has no uncertainty"
     if calibration.given:
         yield "calibration (7.8.4.1 a): the coefficients were given, not estimated; calibrate a record"
         return
-    open_ones = calibration.verdict.unstated
-    if open_ones:
+    if unstated := calibration.verdict.unstated:
         yield (
-            f"calibration (7.8.4.1 a, 7.6): {', '.join(open_ones)}: neither stated in [uncertainty] of the run file nor "
+            f"calibration (7.8.4.1 a, 7.6): {', '.join(unstated)}: neither stated in [uncertainty] of the run file nor "
             "waived there with a reason"
         )
     elif calibration.type_a_only:
@@ -375,18 +366,16 @@ def _conformity(data: CertificateFile, calibration: Calibration) -> Iterator[str
         yield "[conformity] agreed_with_customer (7.8.6.1): the decision rule must be agreed with the customer"
     if not rule.limits:
         yield "[conformity.limits] (7.8.6.2 a): the limits of at least one coefficient"
-    names = {c.key for c in calibration.coefficients}
     for key, pair in rule.limits.items():
-        if key not in names:
-            yield f"[conformity.limits] {key} (7.8.6.2 a): the calibration has no such coefficient"
-            continue
         try:
             low, high = limits_in_file_units(calibration[key].unit, pair)
+            wrong = "" if low < high else "the lower limit is not below the upper one"
+        except KeyError:
+            wrong = "the calibration has no such coefficient"
         except UnitError as error:
-            yield f"[conformity.limits] {key} (7.8.6.2 a): {error.message}"
-            continue
-        if not low < high:
-            yield f"[conformity.limits] {key} (7.8.6.2 a): the lower limit is not below the upper one"
+            wrong = error.message
+        if wrong:
+            yield f"[conformity.limits] {key} (7.8.6.2 a): {wrong}"
 
 
 def limits_in_file_units(unit: str, pair: tuple[str, str]) -> tuple[float, float]:
@@ -411,41 +400,26 @@ _WORDS: dict[Status, str] = {
     "conditionalPass": "inside the limits, by less than the expanded uncertainty",
     "conditionalFail": "outside the limits, by less than the expanded uncertainty",
 }
-_OVERALL: dict[Status, str] = dict.fromkeys(WORST, "cannot be decided for every result")
-_OVERALL |= {"pass": "conforms", "fail": "does not conform"}
 _RULES = {
     "simple": "simple acceptance: a result conforms when it lies inside the limits, whatever its uncertainty",
     "guarded": "guarded acceptance (guard band of one expanded uncertainty): a result conforms when the interval of "
     "its expanded uncertainty lies inside the limits, and does not when the interval lies outside",
 }
-TRACEABILITY = "basic_traceability"
-"""``ref_type`` of the statement of traceability. The page has a section for it."""
-
-
-@dataclass(frozen=True)
-class _Statement:
-    """One statement. ``ranges`` are (name, low, high, SI unit). ``ref_type`` identifies it in a DCC."""
-
-    title: str
-    text: str
-    clause: str
-    ref_type: str = ""
-    conformity: str = ""
-    date: dt.date | None = None
-    ranges: tuple[tuple[str, float, float, str], ...] = ()
 
 
 @dataclass(frozen=True)
 class Conformity:
-    """Conformity of one coefficient. Limits and values are in its file unit."""
+    """Conformity of one coefficient. Limits are in its file unit."""
 
-    key: str
-    unit: str
+    coefficient: Coefficient
     low: float
     high: float
-    value: float
-    expanded: float
     status: Status
+
+    @property
+    def key(self) -> str:
+        """Key of the coefficient."""
+        return self.coefficient.key
 
     @property
     def words(self) -> str:
@@ -463,8 +437,7 @@ def verdicts(data: CertificateFile, calibration: Calibration) -> tuple[Conformit
         c = calibration[key]
         low, high = limits_in_file_units(c.unit, pair)
         least, most = c.limits if rule.rule == "guarded" else (c.value, c.value)
-        status = _status(c.value, least, most, low, high)
-        conformities.append(Conformity(key, c.unit, low, high, c.value, c.expanded, status))
+        conformities.append(Conformity(c, low, high, _status(c.value, least, most, low, high)))
     return tuple(conformities)
 
 
@@ -482,54 +455,21 @@ def decision_rule(data: CertificateFile) -> str:
     return "" if data.conformity is None or data.conformity.rule is None else _RULES[data.conformity.rule]
 
 
-def statements(data: CertificateFile, calibration: Calibration) -> Iterator[_Statement]:
-    """All applicable statements, in the order of the standard."""
-    method, say, traceability = data.method, data.statements, data.traceability.statement
-    text = "The results relate only to the item described here, in the state in which it was calibrated."
-    yield _Statement("Scope of the results", text, "7.8.2.1 l")
-    text = "This certificate shall not be reproduced except in full without approval of the laboratory."
-    yield _Statement("Reproduction", text, "7.8.2.1")
-    yield _Statement("Sampling", f"Sampling plan: {method.sampling}.", "7.8.2.1 k")
-    text = f"Additions, deviations and exclusions from the method: {method.deviations}."
-    yield _Statement("Method", text, "7.8.2.1 n")
-    text = f"Results from external providers: {method.external_results}."
-    yield _Statement("External providers", text, "7.8.2.1 p")
-    text = "The item was neither adjusted nor repaired; the results are those of the item as received."
-    if data.adjustment.performed:
-        how = f": {data.adjustment.description}" if data.adjustment.description else ""
-        text = f"The item was adjusted or repaired{how}. Results before and after are given."
-    yield _Statement("Adjustment", text, "7.8.4.1 d")
-    yield _Statement("Traceability", traceability, "7.8.4.1 c", ref_type=TRACEABILITY)
-    stated = calibration.diagnostics.range
-    ranges = tuple(
+def statement_facts(data: CertificateFile, calibration: Calibration) -> dict[str, Any]:
+    """What the statements of a certificate say of its calibration: ranges (name, low, high, SI unit) and conformity."""
+    stated, conformities = calibration.diagnostics.range, verdicts(data, calibration)
+    ranges = [
         (name, float(stated[key][0]), float(stated[key][1]), unit)
         for key, (name, unit) in _RANGES.items()
         if key in stated
-    )
-    if ranges:
-        words = "; ".join(f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
-        text = f"The results were found, and hold, in this range: {words}.".replace("^2", "²")
-        yield _Statement("Range", text, "7.8.4.1 b", ref_type="basic_validityRange", ranges=ranges)
-    if data.conformity is not None:
-        conformities = verdicts(data, calibration)
-        worst = max((verdict.status for verdict in conformities), key=WORST.index)
-        names = ", ".join(verdict.key for verdict in conformities)
-        text = f"Specification: {data.conformity.specification}. Decision rule: {decision_rule(data)}."
-        text += f" Applies to: {names}. Overall: {_OVERALL[worst]}."
-        yield _Statement("Conformity", text, "7.8.6.2", ref_type="basic_conformity", conformity=worst)
-    if say.opinions:
-        text = f"{say.opinions} (Opinion of {say.opinions_by}.)"
-        yield _Statement("Opinions and interpretations", text, "7.8.7")
-    if say.recalibrate and say.interval_agreed:
-        text, when = (
-            "As agreed with the customer, the item is to be recalibrated by this date.",
-            say.recalibrate,
-        )
-        yield _Statement("Recalibration", text, "7.8.4.3", ref_type="basic_recalibration", date=when)
-    if data.certificate.replaces:
-        text = (
-            f"This certificate replaces certificate {data.certificate.replaces}. {data.certificate.amendment}"
-        )
-        yield _Statement("Amendment", text, "7.8.8")
-    if say.remarks:
-        yield _Statement("Remarks", say.remarks, "7.8.2")
+    ]
+    words = (f"{name} {low:.4g} to {high:.4g} {unit}" for name, low, high, unit in ranges)
+    worst: Status = max((verdict.status for verdict in conformities), key=WORST.index, default="pass")
+    return {
+        "ranges": ranges,
+        "range_words": "; ".join(words).replace("^2", "²"),
+        "verdicts": conformities,
+        "rule": decision_rule(data),
+        "worst": worst,
+        "overall": _WORDS[worst] if worst in ("pass", "fail") else "cannot be decided for every result",
+    }

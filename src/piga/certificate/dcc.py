@@ -4,6 +4,8 @@ The certificate states the coefficients one by one with expanded uncertainty for
 matrix for programs. Three attachments hold all that piga wrote it from: the calibration, the data of the certificate, and the
 calibration before adjustment if there is one. So reading is writing again: the two documents must be equal, and the first
 difference is named by its place.
+The parser refuses document types, entities, network access and huge trees. The signature covers the whole document except
+itself. Verification trusts only the X.509 certificate that the laboratory gave to the reader, and hands on only what is signed.
 """
 
 from __future__ import annotations
@@ -14,35 +16,33 @@ import copy
 import datetime as dt
 import math
 import re
-import warnings
-from decimal import Context, Decimal, InvalidOperation
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import msgspec
 
 from piga._version import __version__
 from piga.certificate.certificate_file import (
-    TRACEABILITY,
     CertificateFile,
     ConditionTable,
     quantity_text,
-    statements,
+    statement_facts,
     title_of,
     verdicts,
 )
-from piga.certificate.xml_signature import SIGNATURE, read_xml
-from piga.errors import DataError, PigaWarning
+from piga.errors import DataError
 from piga.records.calibration.calibration import Calibration
-from piga.records.calibration.coefficient import PROBABILITY, Coefficient, joint_factor
+from piga.records.calibration.coefficient import PROBABILITY, joint_factor
 from piga.records.calibration.document import calibration_from_bytes, calibration_to_bytes
-from piga.text_files import converted
-from piga.units import parse_unit
+from piga.reports.render.page import template
+from piga.text_files import converted, read_whole
+from piga.units import offset_to_si, parse_unit
 
 if TYPE_CHECKING:
-    import jinja2
     from lxml import etree
 
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -50,20 +50,11 @@ NAMES = {"dcc": DCC, "si": SI}
 RECORD, DATA, _BEFORE = "piga_calibrationRecord", "piga_certificateData", "piga_calibrationBefore"
 """``refType`` of the attached calibration, of the data of the certificate, and of the calibration before adjustment."""
 _AGAIN = "do not use the file; get it again from the issuer"
-MOST_TEXT = 9_900_000
-"""Most characters of one text in the XML. libxml2, and programs built on it, refuse more than 10 million."""
 _ROUNDED = ("valueExpandedMU", "coverageFactor", "coverageFactorXMLList")
 """Numbers that hold a quantile. Libraries differ in its last digits."""
 _SLACK = Decimal("1e-6")
 """Relative difference allowed in them."""
 _CONDITIONS = {"air temperature": "basic_temperature", "relative humidity": "basic_humidityRelative"}
-_UNCERTAINTY = (
-    "Expanded uncertainties are standard uncertainties times the coverage factor of Student's t for the "
-    "effective degrees of freedom of each coefficient and a coverage probability of 95 %. A coefficient for "
-    "which that does not hold has the shortest 95 % coverage interval by Monte Carlo. The joint "
-    "result has the coverage factor sqrt(n F(n, nu)) for n coefficients, where nu is the fewest effective "
-    "degrees of freedom of any of them."
-)
 
 
 def dcc_document(
@@ -75,108 +66,46 @@ def dcc_document(
     """
     from lxml import etree
 
-    days = {
-        "receiptDate": data.item.received,
-        "beginPerformanceDate": data.calibration.begin,
-        "endPerformanceDate": data.calibration.end,
-    }
-    rendered = _template().render(
+    rendered = template("dcc.xml.jinja").render(
         data=data,
         calibration=calibration,
         before=before,
-        nominal=calibration.scale_factor_nominal * parse_unit(calibration.unit).factor,
         release=release or _own_release(),
-        days=days.items(),
-        statements=statements(data, calibration),
-        traceability=TRACEABILITY,
-        uncertainty=_UNCERTAINTY,
+        facts=statement_facts(data, calibration),
         conditions=[_condition(condition) for condition in data.environment],
         marks={verdict.key: verdict.status for verdict in verdicts(data, calibration)},
-        covariance=[
-            (list(zip(column, calibration.coefficients, strict=True)), owner)
-            for column, owner in zip(calibration.covariance.T.tolist(), calibration.coefficients, strict=True)
-        ],
         joint_factor=joint_factor(calibration.coefficients),
-        attachments=_attachments(data, calibration, before),
+        probability=PROBABILITY,
+        written_data=base64.b64encode(msgspec.json.encode(data)).decode(),
+        record=lambda one: base64.b64encode(calibration_to_bytes(one)).decode(),
+        line=lambda words: " ".join(words.split()),
+        si=to_dsi,
+        unit=dsi_unit,
+        label=label_of,
+        title_of=title_of,
     )
     try:
-        root = etree.fromstring(rendered.encode(), etree.XMLParser(remove_blank_text=True, huge_tree=True))
+        root = etree.fromstring(rendered.encode(), etree.XMLParser(remove_blank_text=True))
     except etree.XMLSyntaxError as error:
         raise DataError(
             f"certificate: a text of the data or of the calibration cannot stand in XML: {error}",
-            remedy="write it with letters, digits and signs",
+            remedy="write it with letters, digits and signs; with a huge calibration: phases = 'shared', or fewer segments",
         ) from None
-    longest = max(len(node.text or "") for node in root.iter())
-    if longest > MOST_TEXT:
-        raise DataError(
-            f"certificate: the attached calibration has {longest} characters with its {len(calibration.coefficients)} "
-            f"coefficients; readers of XML take {MOST_TEXT}",
-            remedy="calibrate with phases = 'shared', or with fewer segments",
-        )
     etree.indent(root)
     return root
 
 
-@lru_cache(maxsize=1)
-def _template() -> jinja2.Template:
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"line": lambda words: " ".join(words.split()), "si": to_dsi}
-    environment.globals |= {
-        "unit": dsi_unit,
-        "label": label_of,
-        "title_of": title_of,
-        "digit_of": _digit_of,
-        "probability": PROBABILITY,
-    }
-    return environment.get_template("dcc.xml.jinja")
-
-
-def _digit_of(c: Coefficient) -> int:
-    """Power of ten of the last significant digit in SI. U has two. Without U (a given value) all digits count."""
-    half_width, value = Decimal(to_dsi(c.expanded, c.unit)), Decimal(to_dsi(c.value, c.unit))
-    return half_width.adjusted() - 1 if half_width else value.adjusted() - (DIGITS - 1)
-
-
 def _condition(condition: ConditionTable) -> dict[str, str]:
-    """A condition of the environment in SI, as texts."""
+    """A condition of the environment in SI, as texts: 20.1 degC gives 293.25 K."""
     number, unit = quantity_text(condition.value)
     spread = quantity_text(condition.uncertainty) if condition.uncertainty else None
     return {
         "name": condition.name,
         "kind": _CONDITIONS.get(condition.name.lower(), ""),
-        "value": _si_decimal(number, unit, offset=True),
+        "value": f"{number * parse_unit(unit).factor + offset_to_si(unit):.12g}",
         "unit": dsi_unit(unit),
-        "uncertainty": _si_decimal(*spread) if spread else "",
+        "uncertainty": f"{spread[0] * parse_unit(spread[1]).factor:.12g}" if spread else "",
     }
-
-
-def _si_decimal(number: float, unit: str, *, offset: bool = False) -> str:
-    """SI text of a number written by a person, without binary rounding: 20.1 degC gives 293.25 K."""
-    parsed = parse_unit(unit)
-    value = Decimal(repr(number)) * Decimal(repr(parsed.factor))
-    return str(value + Decimal("273.15") if offset and parsed.text == "degC" else value)
-
-
-def _attachments(
-    data: CertificateFile, calibration: Calibration, before: Calibration | None
-) -> list[tuple[str, str, str, str, str]]:
-    """What the certificate is written from: title, kind, name, file and Base64 of each attachment."""
-    words = "Calibration record of piga with budget, residual figures, data quality and provenance"
-    parts = [("Calibration record", RECORD, words, "calibration.json", calibration_to_bytes(calibration))]
-    if before is not None:
-        words, raw = "Calibration record of piga before adjustment", calibration_to_bytes(before)
-        parts.append(("Record before adjustment", _BEFORE, words, "before.json", raw))
-    words, raw = "Data that piga wrote it from", msgspec.json.encode(data)
-    parts.append(("Data of the certificate", DATA, words, "data.json", raw))
-    return [(*names, base64.b64encode(raw).decode("ascii")) for *names, raw in parts]  # type: ignore[misc]
 
 
 def read_dcc(path: str | Path) -> Calibration:
@@ -196,32 +125,28 @@ def calibration_of(root: etree._Element, path: Path) -> Calibration:
     if not version.startswith("3."):
         remedy = "ask the issuer for one of version 3" if version[:2] in ("1.", "2.") else "update piga"
         raise DataError(f"{path}: DCC version '{version[:20]}' is not known", remedy=remedy)
-    raw = _attached(root, RECORD, path)
+    raw, data = _attached(root, RECORD, path), _attached(root, DATA, path)
     if raw is None:
         raise DataError(
             f"{path}: holds no calibration record of piga",
             remedy="only certificates made by piga can be read back",
         )
+    if data is None:
+        raise DataError(
+            f"{path}: lacks the attached data of the certificate",
+            remedy="read a certificate of piga 0.2 with that version; for any other, get the file again from the issuer",
+        )
     calibration = calibration_from_bytes(raw, path)
     release = root.findtext("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:release", "", NAMES)
-    if (data := _attached(root, DATA, path)) is None:
-        if not release.startswith("v0.2"):
-            raise DataError(f"{path}: lacks the attached data of the certificate", remedy=_AGAIN)
-        _compare_results(root, calibration, path)
-        return calibration
-    try:
-        file = converted(msgspec.json.decode(data), CertificateFile)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise DataError(
-            f"{path}: the attached data of the certificate are damaged ({error})", remedy=_AGAIN
-        ) from None
     before = _attached(root, _BEFORE, path)
     former = None if before is None else calibration_from_bytes(before, path)
     try:
+        file = converted(msgspec.json.decode(data), CertificateFile)
         again = dcc_document(file, calibration, former, release)
-    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+    except (msgspec.MsgspecError, AttributeError, LookupError, OverflowError, TypeError, ValueError) as error:
         raise DataError(
-            f"{path}: the attached data do not fit the attached calibration ({error})", remedy=_AGAIN
+            f"{path}: the attached data are damaged, or do not fit the attached calibration ({error})",
+            remedy=_AGAIN,
         ) from None
     _compare_trees(root, again, path, words=release == _own_release())
     return calibration
@@ -245,28 +170,6 @@ def _attached(root: etree._Element, kind: str, path: Path) -> bytes | None:
         raise DataError(f"{path}: the attached record is damaged", remedy=_AGAIN) from None
 
 
-def _compare_results(root: etree._Element, calibration: Calibration, path: Path) -> None:
-    """Compare the results of a certificate of piga 0.2, which attached nothing but the calibration."""
-    query = "dcc:measurementResults/dcc:measurementResult/dcc:results/dcc:result/dcc:data"
-    again = dcc_document(CertificateFile(), calibration)
-    for part in ("dcc:list", "dcc:quantity"):
-        kind = "[@refType='basic_measuredValue']" if part == "dcc:list" else ""
-        place = query.replace("dcc:result/", f"dcc:result{kind}/")
-        stated, ours = root.findall(f"{place}/{part}", NAMES), again.findall(f"{place}/{part}", NAMES)
-        if len(stated) != len(ours):
-            raise DataError(f"{path}: holds other results than piga writes", remedy=_AGAIN)
-        for one, other in zip(stated, ours, strict=True):
-            for mark in one.findall(".//dcc:measurementMetaData", NAMES):
-                mark.getparent().remove(mark)
-            _compare_trees(one, other, path)
-    warnings.warn(
-        f"{path}: made by piga 0.2: its results agree with the attached record; laboratory, dates and statements "
-        "were not compared",
-        PigaWarning,
-        stacklevel=3,
-    )
-
-
 def is_ours(root: etree._Element) -> bool:
     """True if a certificate holds a calibration record of piga."""
     return root.find(f"dcc:measurementResults//dcc:byteData[@refType='{RECORD}']", NAMES) is not None
@@ -281,24 +184,17 @@ def date_of_issue(root: etree._Element, path: Path) -> dt.date:
         raise DataError(f"{path}: issueDate '{text[:40]}' is not a date", remedy=_AGAIN) from None
 
 
-def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool = True) -> None:
+def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *, words: bool) -> None:
     """Refuse a certificate ``stated`` that differs from what piga writes ``again``. The first difference is named.
 
     Without ``words`` sentences are not compared: another release of piga may word them otherwise.
     """
-    for one in (*stated.itersiblings(preceding=True), *stated.itersiblings(), *stated.iter()):
-        if not isinstance(one.tag, str):
-            raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=_AGAIN)
     for one, other in zip(stated.iter(), again.iter(), strict=False):
-        if one.tag != other.tag or dict(one.attrib) != dict(other.attrib):
-            raise _contradiction(path, one, f"stands where '{_place(other)}' is expected")
-        if len(one) != len(other):
-            raise _contradiction(path, one, f"has {len(one)} parts, not {len(other)}")
-        if (one is not stated and (one.tail or "").strip()) or (len(one) and (one.text or "").strip()):
-            raise _contradiction(path, one, "has text beside its parts")
+        beside = "" if one is stated else (one.tail or "").strip()
+        if (one.tag, dict(one.attrib), len(one), beside) != (other.tag, dict(other.attrib), len(other), ""):
+            raise _contradiction(path, other, "is not there as piga writes it, alone and with its parts")
         text, expected = (one.text or "").strip(), (other.text or "").strip()
-        sentence = one.tag == f"{{{DCC}}}content" and not words
-        if not (len(one) or sentence) and not _equal(text, expected, one.tag.rpartition("}")[2]):
+        if (words or one.tag != f"{{{DCC}}}content") and not _equal(text, expected, one.tag.rpartition("}")[2]):
             raise _contradiction(path, one, f"is '{text[:60]}', by the attached records '{expected[:60]}'")
 
 
@@ -326,35 +222,13 @@ def _place(node: etree._Element) -> str:
     return "/".join(names[1:][-4:] or names) + (f" of {label[:60]}" if label else "")
 
 
-_SAFE = "[]_.,:;+-=()/*"
-
-
 def label_of(key: str) -> str:
     """A coefficient's key without spaces (segment labels may contain spaces)."""
-    return quote(key, safe=_SAFE)
+    return quote(key, safe="[]_.,:;+-=()/*")
 
 
-G = Decimal("9.80665")
-"""Standard gravity [m/s^2], exact."""
-DIGITS = 17
-"""Significant digits of converted numbers: enough to distinguish any two floats."""
-
-_EXACT = Context(prec=60)
-_SHOWN = Context(prec=DIGITS)
-_POWERS = {"rad/s/g": -1, "1": 0, "rad": 0, "g": 1, "g/g^2": -1, "g/g^3": -2, "g/s": 1, "g/K": 1, "1/K": 0}
-"""Power of ``g`` in each unit of a coefficient."""
 _BASE = (r"\metre", r"\second", r"\radian", r"\kilogram", r"\kelvin", r"\volt", "", r"\ampere")
 """D-SI names of the base units of piga. A count is a plain number."""
-
-
-def power_of_g(unit: str) -> int:
-    """Power of ``g`` in a coefficient's unit: ``value_SI = value * 9.80665**power``; -1 in the K of any instrument."""
-    return _POWERS.get(unit, -1)
-
-
-def _of_output(unit: str) -> Decimal:
-    """SI value of the output unit in the K of a direct instrument, as in mA/g; 1 for all other units."""
-    return Decimal(1) if unit in _POWERS else Decimal(repr(parse_unit(unit.removesuffix("/g")).factor))
 
 
 @lru_cache(maxsize=256)
@@ -377,8 +251,224 @@ def _powered(name: str, power: float) -> str:
 
 def to_dsi(value: float, *units: str) -> str:
     """SI text of a number in the product of these units."""
-    power, output = sum(map(power_of_g, units)), math.prod(map(_of_output, units), start=Decimal(1))
-    if power == 0 and output == 1:
-        return repr(float(value))
-    factor = _EXACT.multiply(output, _EXACT.power(G, power))
-    return str(_SHOWN.plus(_EXACT.multiply(Decimal(value), factor)))
+    return repr(float(value) * math.prod(parse_unit(unit).factor for unit in units))
+
+
+# -- XML from outside and its signature ---------------------------------------------------------------
+
+MOST_XML_BYTES = 32 << 20
+"""Largest XML file read [bytes]."""
+
+
+def read_xml(path: Path) -> etree._Element:
+    """Root element of an XML file."""
+    return parse_xml(read_whole(path, MOST_XML_BYTES, "a certificate in XML"), path)
+
+
+def parse_xml(raw: bytes, path: Path) -> etree._Element:
+    """Root element of XML bytes. Messages name ``path``."""
+    from lxml import etree
+
+    if raw[:1] == b"\x30":
+        raise DataError(
+            f"{path}: is an envelope (CMS, PKCS #7), not XML: the certificate is inside it",
+            remedy=f"take it out: openssl cms -verify -inform DER -in {path.name} -CAfile AUTHORITY.pem -out certificate.xml",
+        )
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False, huge_tree=False
+    )
+    try:
+        root = etree.fromstring(raw, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise DataError(f"{path}: not valid XML: {error}", remedy="get the file again") from None
+    info = root.getroottree().docinfo
+    if info.internalDTD is not None or info.doctype or any(node.tag is etree.Entity for node in root.iter()):
+        raise DataError(
+            f"{path}: declares a document type, which a certificate does not need and which can hide attacks",
+            remedy="ask the issuer for the plain certificate",
+        )
+    return root
+
+
+_DS = "{http://www.w3.org/2000/09/xmldsig#}"
+_MAX_PEM = 1 << 20
+_LEAST_BITS = {"RSA": 2048, "EC": 256}
+"""Shortest accepted key of each kind [bits]."""
+_C14N = "http://www.w3.org/2006/12/xml-c14n11"
+_METHODS = tuple(f"{kind}_SHA{bits}" for kind in ("RSA", "ECDSA") for bits in (256, 384, 512))
+_DIGESTS = ("SHA256", "SHA384", "SHA512")
+"""Accepted algorithms, by their names in signxml."""
+SIGNATURE = f"{_DS}Signature"
+_XADES = "{http://uri.etsi.org/01903/v1.3.2#}QualifyingProperties"
+_NOT_VERIFIED = (
+    "the signature holds properties by XAdES (time stamps, revocation data), which were not verified: ask the signer's "
+    "authority whether its certificate was revoked"
+)
+
+
+@dataclass(frozen=True)
+class _VerifiedSignature:
+    """A valid signature. Only ``document``, the root element of the signed part, can be trusted.
+
+    ``signer`` is the subject of the X.509 certificate, valid from ``valid_from`` until ``valid_until``; without a time stamp
+    it is unknown whether it was in force at signing. ``remarks``: what else the signature holds, and was not verified.
+    """
+
+    document: etree._Element
+    signer: str
+    valid_from: dt.datetime
+    valid_until: dt.datetime
+    remarks: tuple[str, ...]
+
+    def out_of_force(self, at: dt.datetime) -> str:
+        """The reason why the X.509 certificate was not in force at a time, with its dates; empty if it was."""
+        return _out_of_force(self.valid_from, self.valid_until, at)
+
+
+def sign_xml(
+    root: etree._Element, key: Path, certificate: Path, passphrase: bytes | None = None
+) -> etree._Element:
+    """Sign a document with a private key and its X.509 certificate (PEM; RSA or elliptic curve)."""
+    from cryptography.hazmat.primitives.asymmetric import rsa
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+    from signxml.signer import XMLSigner
+
+    try:
+        private: Any = load_pem_private_key(read_whole(key, _MAX_PEM, "a PEM file"), passphrase)
+    except (ValueError, TypeError) as error:
+        raise DataError(f"{key}: is not a usable private key: {error}", remedy="give a PEM file") from None
+    public = load_certificate(certificate)
+    form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    if private.public_key().public_bytes(*form) != public.public_key().public_bytes(*form):
+        raise DataError(f"{key}: is not the key of {certificate}", remedy="give the key and its certificate")
+    why = _out_of_force(public.not_valid_before_utc, public.not_valid_after_utc, dt.datetime.now(dt.UTC))
+    if why:
+        raise DataError(f"{certificate}: the X.509 certificate {why}", remedy="sign with one that is in force")
+    algorithm = "rsa-sha256" if isinstance(private, rsa.RSAPrivateKey) else "ecdsa-sha256"
+    signer = XMLSigner(signature_algorithm=algorithm, digest_algorithm="sha256", c14n_algorithm=_C14N)
+    return signer.sign(root, key=private, cert=[public])
+
+
+def verify_signature(path: Path, certificate: Path) -> _VerifiedSignature:
+    """Verify the signature of a file against the expected X.509 certificate.
+
+    Refused is one that is not signed, was changed, has another signer, one on a revocation list in the file, or whose signature
+    does not cover the whole document.
+    """
+    root = read_xml(path)
+    expected = load_certificate(certificate)
+    if not len(root) or root[-1].tag != SIGNATURE:
+        raise DataError(f"{path}: is not signed", remedy="ask the issuer for the signed certificate")
+    if len(list(root.iter(SIGNATURE))) > 1:
+        raise DataError(
+            f"{path}: holds more than one signature: the signature does not hold", remedy="do not use the file"
+        )
+    document, revoked = _verified(path, root, expected), _revoked(root[-1], expected)
+    if revoked is not None:
+        raise DataError(
+            f"{path}: the X.509 certificate of the signer was revoked on {revoked:%Y-%m-%d}, by the list of its authority in "
+            "the file",
+            remedy="do not use the file, and ask the laboratory",
+        )
+    return _VerifiedSignature(
+        document,
+        expected.subject.rfc4514_string(),
+        expected.not_valid_before_utc,
+        expected.not_valid_after_utc,
+        () if root[-1].find(f".//{_XADES}") is None else (_NOT_VERIFIED,),
+    )
+
+
+def _out_of_force(start: dt.datetime, end: dt.datetime, at: dt.datetime) -> str:
+    if start <= at <= end:
+        return ""
+    word = "is not yet valid" if at < start else "has expired"
+    return f"{word}: valid from {start:%Y-%m-%d} to {end:%Y-%m-%d}, judged for {at:%Y-%m-%d}"
+
+
+def _verified(path: Path, root: etree._Element, expected: Any) -> etree._Element:
+    """The signed part, after the library has verified it."""
+    from cryptography.exceptions import InvalidSignature
+    from lxml import etree
+    from signxml.algorithms import DigestAlgorithm, SignatureMethod
+    from signxml.exceptions import SignXMLException
+    from signxml.verifier import SignatureConfiguration, XMLVerifier
+
+    for transform in root[-1].iterfind(f"{_DS}SignedInfo/{_DS}Reference/{_DS}Transforms/{_DS}Transform"):
+        kind = transform.get("Algorithm", "")
+        if not kind.endswith("xmldsig#enveloped-signature") and "c14n" not in kind:
+            raise DataError(
+                f"{path}: is signed after the transform {kind[:80]}, which piga does not verify",
+                remedy="verify it with the program of its issuer",
+            )
+    configuration = SignatureConfiguration(
+        location="./",
+        expect_references=True,
+        signature_methods=frozenset(getattr(SignatureMethod, name) for name in _METHODS),
+        digest_algorithms=frozenset(getattr(DigestAlgorithm, name) for name in _DIGESTS),
+        verification_time=expected.not_valid_before_utc,
+    )
+    try:
+        results = XMLVerifier().verify(etree.tostring(root), x509_cert=expected, expect_config=configuration)
+    except (SignXMLException, InvalidSignature, etree.LxmlError, ValueError, KeyError, AssertionError) as error:
+        raise DataError(
+            f"{path}: the signature does not hold: {str(error) or type(error).__name__}",
+            remedy="the file was changed or signed by somebody else: do not use it",
+        ) from None
+    whole = copy.deepcopy(root)  # comments are not signed, and not handed on
+    whole.remove(whole[-1])
+    text = etree.tostring(whole, method="c14n", with_comments=False)
+    for result in results if isinstance(results, list) else [results]:
+        signed = result.signed_xml
+        if signed is not None and etree.tostring(signed, method="c14n", with_comments=False) == text:
+            return signed
+    raise DataError(f"{path}: the signature does not cover the whole document", remedy="do not use the file")
+
+
+def _revoked(signature: etree._Element, expected: Any) -> dt.datetime | None:
+    """When the signer's certificate was revoked, by a list of its authority among the XAdES properties; None if none says so.
+
+    The signature of the list is not verified: a false list can only have a good file refused.
+    """
+    from cryptography import x509
+
+    for node in signature.iter("{*}EncapsulatedCRLValue"):
+        try:
+            found = x509.load_der_x509_crl(base64.b64decode(node.text or ""))
+            entry = found.get_revoked_certificate_by_serial_number(expected.serial_number)
+        except ValueError:
+            continue
+        if entry is not None and found.issuer == expected.issuer:
+            return entry.revocation_date_utc
+    return None
+
+
+def written(root: etree._Element) -> bytes:
+    """The bytes that piga writes for a document."""
+    from lxml import etree
+
+    return etree.tostring(root, xml_declaration=True, encoding="UTF-8") + b"\n"
+
+
+def load_certificate(path: Path) -> Any:
+    """The X.509 certificate of a PEM file."""
+    from cryptography import x509
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric import ec, rsa
+
+    try:
+        certificate = x509.load_pem_x509_certificate(read_whole(path, _MAX_PEM, "a PEM file"))
+        key = certificate.public_key()
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise DataError(
+            f"{path}: is not an X.509 certificate in PEM: {error}", remedy="check the file"
+        ) from None
+    if not isinstance(key, rsa.RSAPublicKey | ec.EllipticCurvePublicKey):
+        raise DataError(f"{path}: its key is neither RSA nor on an elliptic curve", remedy="use one of these")
+    kind = "RSA" if isinstance(key, rsa.RSAPublicKey) else "EC"
+    if key.key_size < _LEAST_BITS[kind]:
+        raise DataError(
+            f"{path}: its {kind} key has {key.key_size} bits, fewer than {_LEAST_BITS[kind]}",
+            remedy=f"use a key of {_LEAST_BITS[kind]} bits or more",
+        )
+    return certificate

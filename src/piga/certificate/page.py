@@ -9,16 +9,13 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 from piga.certificate.certificate_file import (
-    TRACEABILITY,
     CertificateFile,
     Conformity,
     decision_rule,
     missing_items,
-    statements,
+    statement_facts,
     verdicts,
 )
 from piga.data import example_files
@@ -87,20 +84,19 @@ def certificate_html(
         draft=is_draft(data),
         css=resource("templates", "certificate.css"),
         number_css=_css_string(data.certificate.number),
-        identity=_identity(data),
+        calibration=calibration,
         parts=_parts(data, calibration, before),
-        statements=[one for one in statements(data, calibration) if one.ref_type != TRACEABILITY],
-        record=_record(calibration, record_sha256),
+        facts=statement_facts(data, calibration),
+        record_sha256=record_sha256,
+        count=count,
     )
 
 
 def is_draft(data: CertificateFile) -> bool:
     """Whether laboratory or customer are those of the shipped example, or the number begins with DRAFT: no certificate."""
     example = tomllib.loads(example_files()["certificate.toml"].decode())
-    names = (example[table]["name"] for table in ("laboratory", "customer"))
-    return data.certificate.number.startswith("DRAFT") or any(
-        given == name for given, name in zip(names, (data.laboratory.name, data.customer.name), strict=True)
-    )
+    named = (getattr(data, table).name == example[table]["name"] for table in ("laboratory", "customer"))
+    return data.certificate.number.startswith("DRAFT") or any(named)
 
 
 def _css_string(text: str) -> str:
@@ -108,59 +104,35 @@ def _css_string(text: str) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in " -_.:") else f"\\{ord(c):x} " for c in text)
 
 
-def _identity(data: CertificateFile) -> list[tuple[str, str]]:
-    item, when = data.item, data.calibration
-    performed = f"{when.begin}" if when.begin == when.end else f"{when.begin} to {when.end}"
-    place = {
-        "laboratory": "in the laboratory",
-        "customer": "at the customer's",
-        "laboratoryBranch": "in a branch of the laboratory",
-        "customerBranch": "in a branch of the customer",
-        "other": "elsewhere",
-    }[when.place or "laboratory"]
-    rows = [
-        ("Customer", f"{data.customer.name}, {data.customer.address}"),
-        ("Order", when.order),
-        ("Item", item.description),
-        ("Manufacturer, model", f"{item.manufacturer}, {item.model}"),
-        ("Serial number", item.serial),
-        ("Customer's identification", item.customer_id),
-        ("Condition on receipt", item.condition),
-        ("Received", f"{item.received}"),
-        ("Calibrated", f"{performed}, {place}{': ' + when.place_detail if when.place_detail else ''}"),
-        ("Issued", f"{data.certificate.issued}"),
-    ]
-    return [(name, value) for name, value in rows if value]
-
-
 def _parts(data: CertificateFile, calibration: Calibration, before: Calibration | None) -> list[_Part]:
-    parts = [
-        _method(data),
-        ("Conditions", (), (_conditions_table(data),)),
-        ("Traceability", (data.traceability.statement,), (_standards_table(data),)),
-        _results(calibration, before),
-    ]
-    conformity = verdicts(data, calibration)
-    if conformity and data.conformity is not None:
-        rule = f"Specification: {data.conformity.specification}. Decision rule, agreed with the customer: "
-        parts.append(("Conformity", (f"{rule}{decision_rule(data)}.",), (_conformity_table(conformity),)))
-    return parts
-
-
-def _method(data: CertificateFile) -> _Part:
-    documents = ", ".join(data.method.documents)
-    lines = (f"{data.method.name} ({documents}).", data.method.description)
-    return "Method", tuple(line for line in lines if line), ()
-
-
-def _conditions_table(data: CertificateFile) -> Table:
-    return (
+    method = data.method
+    lines = (f"{method.name} ({', '.join(method.documents)}).", method.description)
+    conditions = (
         TableOf(data.environment)
         .text("Condition", lambda c: c.name)
         .number("Value", lambda c: _quantity(c.value))
         .number("Expanded uncertainty (k = 2)", lambda c: _quantity(c.uncertainty) or "–")
         .table()
     )
+    standards = (
+        TableOf(data.traceability.standard)
+        .text("Standard", lambda s: s.name)
+        .text("Realises", lambda s: s.realises or "–")
+        .text("Identification", lambda s: s.identification or "–")
+        .text("Certificate", lambda s: s.certificate or "–")
+        .table()
+    )
+    parts: list[_Part] = [
+        ("Method", tuple(line for line in lines if line), ()),
+        ("Conditions", (), (conditions,)),
+        ("Traceability", (data.traceability.statement,), (standards,)),
+        _results(calibration, before),
+    ]
+    if conformity := verdicts(data, calibration):
+        rule = f"Specification: {data.conformity.specification}. " if data.conformity else ""
+        rule += f"Decision rule, agreed with the customer: {decision_rule(data)}."
+        parts.append(("Conformity", (rule,), (_conformity_table(conformity),)))
+    return parts
 
 
 def _quantity(text: str) -> str:
@@ -169,28 +141,23 @@ def _quantity(text: str) -> str:
     return f"{printed(number.lower())} {pretty_unit(unit)}".strip()
 
 
-def _standards_table(data: CertificateFile) -> Table:
-    return (
-        TableOf(data.traceability.standard)
-        .text("Standard", lambda s: s.name)
-        .text("Realises", lambda s: s.realises or "–")
-        .text("Identification", lambda s: s.identification or "–")
-        .text("Certificate", lambda s: s.certificate or "–")
-        .table()
-    )
-
-
 def _results(calibration: Calibration, before: Calibration | None) -> _Part:
     text = (
         "U is the expanded uncertainty for a coverage probability of 95 %: the standard uncertainty times the coverage "
         "factor k of Student's t for the effective degrees of freedom ν of the result. It was evaluated by JCGM 100 "
         "from the contributions below and stands in the unit of the value. The unit g is 9.80665 m/s² exactly."
     )
-    paragraphs = [text, *_monte_carlo(calibration)]
+    paragraphs = [text]
+    common = common_coefficients(calibration)
+    if intervals := [f"{c.key} {monte_carlo_interval(c)}" for c in common if c.interval]:
+        paragraphs.append(
+            "Shortest 95 % interval by Monte Carlo (JCGM 101), where JCGM 100 does not hold: "
+            f"{'; '.join(intervals)}. U is half its width."
+        )
     tables = [_result_table(calibration, "Results" if before is None else "Results after adjustment")]
     if before is not None:
         tables.insert(0, _result_table(before, "Results before adjustment"))
-    if len(common_coefficients(calibration)) < len(calibration.coefficients):
+    if len(common) < len(calibration.coefficients):
         paragraphs.append(
             "Phases of single segments hold for one power-up of the readout each and are not listed."
         )
@@ -224,48 +191,21 @@ def _result_table(calibration: Calibration, caption: str) -> Table:
     )
 
 
-def _monte_carlo(calibration: Calibration) -> list[str]:
-    """Sentences on the Monte Carlo intervals, for coefficients whose first-order interval is not valid."""
-    intervals = [(c.key, monte_carlo_interval(c)) for c in common_coefficients(calibration) if c.interval]
-    if not intervals:
-        return []
-    listed = "; ".join(f"{key} {interval}" for key, interval in intervals)
-    return [
-        f"Shortest 95 % interval by Monte Carlo (JCGM 101), where JCGM 100 does not hold: {listed}. U is half its width."
-    ]
-
-
 def _conformity_table(conformity: tuple[Conformity, ...]) -> Table:
-    def scale(one: Conformity) -> float:
-        return shown_unit(one.key, one.unit)[0]
+    def shown(one: Conformity, value: float) -> float:
+        return value * shown_unit(one.key, one.coefficient.unit)[0]
 
     def number(one: Conformity) -> Rounded:
-        return rounded(one.value * scale(one), one.expanded * scale(one))
+        return rounded(shown(one, one.coefficient.value), shown(one, one.coefficient.expanded))
 
     return (
         TableOf(conformity)
         .text("Coefficient", lambda one: one.key)
-        .number("Lower limit", lambda one: significant(one.low * scale(one)))
+        .number("Lower limit", lambda one: significant(shown(one, one.low)))
         .number("Value", lambda one: number(one).value)
         .number("U (95 %)", lambda one: number(one).uncertainty)
-        .number("Upper limit", lambda one: significant(one.high * scale(one)))
-        .text("Unit", lambda one: pretty_unit(shown_unit(one.key, one.unit)[1]) or "1")
+        .number("Upper limit", lambda one: significant(shown(one, one.high)))
+        .text("Unit", lambda one: pretty_unit(shown_unit(one.key, one.coefficient.unit)[1]) or "1")
         .text("Verdict", lambda one: one.words)
         .table()
     )
-
-
-def _record(calibration: Calibration, record_sha256: str) -> list[tuple[str, Any]]:
-    """Digests and versions that link the certificate to data and software."""
-    quality = calibration.quality
-    rows = [
-        ("Software", calibration.provenance.software),
-        ("Evaluated", calibration.provenance.created),
-        ("Model terms", ", ".join(calibration.terms)),
-        ("Rows", f"{count(quality.used)} of {count(quality.rows)} used, {count(quality.masked)} masked"),
-    ]
-    rows += [
-        (f"SHA-256 of {Path(name).name}", digest)
-        for name, digest in calibration.provenance.input_sha256.items()
-    ]
-    return [*rows, ("SHA-256 of calibration.json", record_sha256)] if record_sha256 else rows

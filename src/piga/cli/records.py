@@ -128,7 +128,7 @@ def add(
     report: Annotated[bool, typer.Option(help="Write and keep report.html.")] = True,
 ) -> None:
     """Calibrate a run and keep inputs, result and report. Creates the store if there is none."""
-    from piga.ledger.store.documents import checked_text
+    from piga.ledger.store import checked_text
     from piga.ledger.store.store import is_url
     from piga.records.run_file import read_run_file
 
@@ -413,9 +413,8 @@ def issue(
     from msgspec.structs import replace
 
     from piga.certificate.certificate_file import read_certificate_file
-    from piga.certificate.dcc import dcc_document
+    from piga.certificate.dcc import dcc_document, sign_xml, written
     from piga.certificate.page import certificate_html, is_draft
-    from piga.certificate.xml_signature import sign_xml, written
     from piga.records.calibration.document import read_with_digest
 
     if (key is None) != (certificate is None):
@@ -477,8 +476,7 @@ def verify_certificate(
     Checks the signature against the laboratory's certificate. For a DCC made by piga it also checks that all
     statements agree. If the certificate is not in force, the exit code is 2.
     """
-    from piga.certificate.dcc import calibration_of, date_of_issue, is_ours
-    from piga.certificate.xml_signature import verify_signature
+    from piga.certificate.dcc import calibration_of, date_of_issue, is_ours, verify_signature
 
     day = _day(at)
     signed = verify_signature(file, certificate)
@@ -528,8 +526,7 @@ def read(
 
     'piga compensate' takes the result. With --certificate the signature is verified first.
     """
-    from piga.certificate.dcc import calibration_of
-    from piga.certificate.xml_signature import SIGNATURE, read_xml, verify_signature
+    from piga.certificate.dcc import SIGNATURE, calibration_of, read_xml, verify_signature
 
     inputs = [file, *([] if certificate is None else [certificate])]
     with deliver_file(out, "certificate-read", inputs) as to:

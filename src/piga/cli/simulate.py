@@ -345,8 +345,7 @@ def collect(folder: CampaignFolder) -> None:
 
     Writes collected/collect.json, coefficients.csv and report.html. Exit code 1 if shards are missing.
     """
-    from piga.campaign.collect import write_table
-    from piga.campaign.page import campaign_page
+    from piga.campaign.collect import campaign_page, write_table
     from piga.results import plain
 
     opened = piga.campaign.open_campaign(folder)
@@ -371,7 +370,7 @@ def repeat(
 
     'piga simulate' (or 'piga platform') then makes the record again, bit for bit.
     """
-    from piga.campaign.subjects import scenario_text
+    from piga.campaign.shards import scenario_text
 
     planned = piga.campaign.read_campaign(file)
     chosen = planned.record(record)

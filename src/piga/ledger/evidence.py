@@ -15,6 +15,7 @@ import json
 import math
 import os
 import platform
+import posixpath
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,8 +28,7 @@ import numpy as np
 
 from piga._version import __version__
 from piga.errors import CalibrationError, RunFileError, StoreError
-from piga.ledger.store import Draft, DraftFile, Record
-from piga.ledger.store.documents import check_measured
+from piga.ledger.store import Draft, DraftFile, Record, RecordDocument, check_measured
 from piga.output import check_results
 from piga.reading.columns import stand_files
 from piga.records.calibration import document as record_file
@@ -40,7 +40,6 @@ from piga.text_files import read_whole
 from piga.units import numbers_are_si
 
 if TYPE_CHECKING:
-    from piga.ledger.store.documents import RecordDocument
     from piga.ledger.store.store import Store
 
 ROUNDING = 1e-6
@@ -50,8 +49,8 @@ _ESTIMATOR = 0.3
 _OTHER_ESTIMATOR = ("piga 0.1", "piga 0.2")
 """Beginning of the software of calibrations that another estimator made."""
 
-_UNCOMPARED = ("created", "software", "source")
-"""Provenance entries that are not compared: time, software and folder."""
+_UNCOMPARED = ("created", "software", "source", "input_sha256")
+"""Provenance entries whose bits are not compared: time, software, folder, and inputs, which are compared as facts."""
 _RESULT, _PAGE = "results/calibration.json", "results/report.html"
 """Names of the results in a record."""
 _MAX_PAGE = 1 << 28
@@ -68,28 +67,21 @@ def input_files(run: Path, digests: dict[str, str]) -> tuple[DraftFile, ...]:
     are those of the inputs as they were read for the calibration; the store refuses others.
     """
     run_file = read_run_file(run)
-    named = [("data", run_file.data.file), *(("stand", name) for name in stand_files(run_file.stand))]
-    for _, name in named:
+    names = [run_file.data.file, *stand_files(run_file.stand)]
+    for name in names:
         if PurePosixPath(name).is_absolute() or Path(name).is_absolute():
             raise RunFileError(
                 f"{run}: '{name}' is an absolute path: the record could not be read elsewhere",
                 remedy="name the file relative to the run file",
             )
-    depth = max(_upwards(name) for _, name in named)
-    below = "/".join(["run"] * depth)
-    files = [DraftFile("run", _joined(below, run.name), run, digests.get(run.name, ""))]
-    for role, name in dict.fromkeys(named):
-        key = name if role == "stand" else Path(name).name
-        files.append(DraftFile(role, _joined(below, name), run.parent / name, digests.get(key, "")))
-    return tuple(files)
+    plain = [os.path.normpath(name).replace(os.sep, "/") for name in names]
+    below = "run/" * max(name.split("/").count("..") for name in plain)
 
+    def kept(role: str, name: str, key: str) -> DraftFile:
+        return DraftFile(role, posixpath.normpath(below + name), run.parent / name, digests.get(key, ""))
 
-def _upwards(name: str) -> int:
-    return os.path.normpath(name).replace(os.sep, "/").split("/").count("..")
-
-
-def _joined(below: str, name: str) -> str:
-    return os.path.normpath(f"{below}/{name}" if below else name).replace(os.sep, "/")
+    stand = (kept("stand", name, name) for name in dict.fromkeys(plain[1:]))
+    return (kept("run", run.name, run.name), kept("data", plain[0], Path(plain[0]).name), *stand)
 
 
 def prepare_run(
@@ -205,45 +197,38 @@ class Comparison:
 def compare_calibrations(stored: Calibration, recomputed: Calibration) -> Comparison:
     """Compare two calibrations of the same inputs."""
     former = stored.provenance.software.startswith(_OTHER_ESTIMATOR)
-    before, now = stored.provenance.input_sha256, recomputed.provenance.input_sha256
-    # .sha256 files are not read any more; piga 0.1 stored run and data file only
-    before = {name: digest for name, digest in before.items() if not name.endswith(".sha256")}
-    now = {name: digest for name, digest in now.items() if name in before}
-    stored, recomputed = (
-        replace(one, provenance=replace(one.provenance, input_sha256=inputs))
-        for one, inputs in ((stored, before), (recomputed, now))
-    )
-    identical = _numbers(stored) == _numbers(recomputed)
-    facts, again = _facts(stored, former), _facts(recomputed, former)
+    facts, again = _facts(stored, stored, former), _facts(recomputed, stored, former)
     differences = [
         f"{name}: {fact!r}, recomputed {again[name]!r}" for name, fact in facts.items() if fact != again[name]
     ]
-    numbers = [] if differences else [one for one in _compared(stored, recomputed, former) if one[1] != one[2]]
-    worst = max((abs(now - then) / allowed for _, then, now, allowed in numbers if allowed), default=0.0)
-    differences += [
-        f"{name}: {then!r}, recomputed {now!r}, allowed {allowed:.2g}"
-        for name, then, now, allowed in numbers
-        if not abs(now - then) <= allowed
-    ]
+    worst = 0.0
+    for name, then, now, allowed in () if differences else _compared(stored, recomputed, former):
+        off = 0.0 if then == now else abs(now - then) / allowed if allowed else math.inf
+        worst = max(worst, off)
+        if not off <= 1.0:
+            differences.append(f"{name}: {then!r}, recomputed {now!r}, allowed {allowed:.2g}")
+    identical = not differences and _numbers(stored) == _numbers(recomputed)
     return Comparison(identical, worst, tuple(differences))
 
 
 def _numbers(calibration: Calibration) -> dict[str, Any]:
     """The content of ``calibration.json`` without :data:`_UNCOMPARED`."""
     document = json.loads(json.dumps(record_file.to_document(calibration)))
-    for table in (document["provenance"], document["provenance"]["options"]):
-        for name in _UNCOMPARED:
-            table.pop(name, None)
+    for name in _UNCOMPARED:
+        document["provenance"].pop(name, None)
+        document["provenance"]["options"].pop(name, None)
     return document
 
 
-def _facts(calibration: Calibration, former: bool) -> dict[str, Any]:
-    """The entries that rounding cannot change; ``former``: nor another estimator."""
+def _facts(calibration: Calibration, stored: Calibration, former: bool) -> dict[str, Any]:
+    """What rounding cannot change (``former``: nor another estimator), and the digests of the inputs of the ``stored`` one."""
     names = ["serial", "terms", "phases"]
     names += [] if former else ["phase_source", "method", "surplus_observations", "quality"]
     facts: dict[str, Any] = {name: getattr(calibration, name) for name in names}
     facts["coefficients"] = [c.key for c in calibration.coefficients]
-    return facts | {"inputs": calibration.provenance.input_sha256}
+    # .sha256 files are not read any more; piga 0.1 stored run and data file only
+    inputs = [name for name in stored.provenance.input_sha256 if not name.endswith(".sha256")]
+    return facts | {"inputs": {name: calibration.provenance.input_sha256.get(name) for name in inputs}}
 
 
 def _compared(a: Calibration, b: Calibration, former: bool) -> Iterator[tuple[str, float, float, float]]:
@@ -278,46 +263,43 @@ def difference(store: Store, first: str | int, second: str | int) -> dict[str, A
     Software is compared as far as both records name it: one made from results names piga alone.
     """
     a, b = store.record(first), store.record(second)
+    then, now = _facts_of(a), _facts_of(b)
+    names = (n for n in then | now if not n.startswith("software ") or (n in then and n in now))
     calibrations = {record.id: store.calibration(record.id) for record in (a, b)}
     old, new = ({c.key: c for c in calibrations[record.id].coefficients} for record in (a, b))
-    then, now = _facts_of(a), _facts_of(b)
-    notes = [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only]
-    names = dict.fromkeys((*then, *now))
-    names = {n: None for n in names if not n.startswith("software ") or (n in then and n in now)}
     return {
         "first": a.id,
         "second": b.id,
-        "coefficients": [_change(key, old.get(key), new.get(key)) for key in dict.fromkeys((*old, *new))],
+        "coefficients": [_change(key, old.get(key), new.get(key)) for key in old | new],
         "facts": {name: (then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)},
-        "notes": notes,
+        "notes": [f"{name}: {NO_REFERENCE}" for name, one in calibrations.items() if one.type_a_only],
     }
 
 
 def _change(key: str, old: Coefficient | None, new: Coefficient | None) -> dict[str, Any]:
     """The change of one coefficient; without a difference where one of the records lacks it."""
-    unit = next(c.unit for c in (old, new) if c is not None)
-    values = {"first": old and old.value, "second": new and new.value}
     change = std = None
     if old and new:
         change, std = _near(old, new) - old.value, math.hypot(old.std, new.std)
-    ratio = change / std if change is not None and std else None
-    return {"key": key, "unit": unit, **values, "difference": change, "std": std, "ratio": ratio}
+    return {
+        "key": key,
+        "unit": (old or new).unit,  # type: ignore[union-attr]
+        "first": old and old.value,
+        "second": new and new.value,
+        "difference": change,
+        "std": std,
+        "ratio": change / std if change is not None and std else None,
+    }
 
 
 def _facts_of(record: Record) -> dict[str, Any]:
     document = record.document
-    facts: dict[str, Any] = {
-        "instrument": document.serial,
-        "operator": document.operator,
-        "measured": document.measured,
-    }
+    facts: dict[str, Any] = {"instrument": document.serial}
+    facts |= {"operator": document.operator, "measured": document.measured}
     inputs = (file for file in document.files if file.role not in ("report", "calibration"))
     facts |= {f"file {file.role}": file.sha256 for file in inputs}
     facts |= {f"request {name}": value for name, value in document.request.items()}
     return facts | {f"software {name}": value for name, value in document.software.items()}
-
-
-Verdict = Literal["identical", "within tolerance", "different"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -335,7 +317,7 @@ class Reproduced(Result):
         return not self.changed
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Literal["identical", "within tolerance", "different"]:
         """``identical`` (to the bit), or ``within tolerance``, which is accepted only if software or platform differ."""
         if self.comparison.identical:
             return "identical"

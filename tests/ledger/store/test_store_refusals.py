@@ -40,7 +40,7 @@ def test_without_the_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_name_that_no_file_can_have(tmp_path: Path) -> None:
     path = tmp_path / ("a" * 300)
     for create in (False, True):
-        with pytest.raises(StoreError, match=r"File name too long|cannot be opened"):
+        with pytest.raises(StoreError, match=r"File name too long|unable to open database file"):
             open_store(path, create=create)
     assert "File name too long" in verify(path).problems[0]
 
@@ -82,15 +82,6 @@ def test_a_file_that_changes_while_it_is_stored(tmp_path: Path) -> None:
     assert verify(tmp_path / "a.sqlite").sound
 
 
-def test_extracting_where_nothing_can_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("here already")
-    with (
-        filled(tmp_path / "a.sqlite", 1) as store,
-        pytest.raises(StoreError, match=r"cannot be written \(Not a directory\)"),
-    ):
-        store.extract(1, tmp_path / "file" / "x")
-
-
 def large_part(connection: sqlite3.Connection) -> tuple[str, bytes]:
     """Name and packed bytes of the file that is stored compressed."""
     return connection.execute("SELECT sha256, data FROM piga_chunk WHERE codec = 'zlib'").fetchone()
@@ -115,10 +106,7 @@ def repack(change: Callable[[bytes], bytes]) -> Callable[[sqlite3.Connection], N
     [
         (repack(lambda _: b"no zlib at all"), "is damaged in the store"),
         (repack(lambda data: zlib.compress(zlib.decompress(data)[:-1])), "is damaged in the store"),
-        (
-            lambda c: c.execute("DELETE FROM piga_blob WHERE sha256 = ?", large_part(c)[:1]),
-            "is not in the store",
-        ),
+        (lambda c: c.execute("DELETE FROM piga_chunk WHERE codec = 'zlib'"), "is damaged in the store"),
     ],
 )
 def test_a_stored_file_made_by_hand_is_not_given_out(
@@ -133,7 +121,7 @@ def test_a_stored_file_made_by_hand_is_not_given_out(
         with pytest.raises(StoreError, match=message):
             store.read(1, "data")
         assert store.read(1, "report") == b"<p>a.sqlite-0</p>"
-        with pytest.raises(StoreError, match=r"is damaged|belongs to no file|is not in the store"):
+        with pytest.raises(StoreError, match="is damaged"):
             export_records(store, tmp_path / "copy.zip")
     assert not verify(path).sound
 
@@ -210,8 +198,8 @@ def test_a_chain_forged_without_a_change_is_sound(sound: Path) -> None:
             r"record 2: has the name of another \(AAAAA-AAAAA\)",
         ),
         (lambda number, record: record.update(number=number + 1), "record 1: was not written for this place"),
-        (lambda number, record: record["files"][0].update(size=number), "was altered"),
-        (lambda _, record: record["files"][0].update(size=2**70), "was altered"),
+        (lambda number, record: record["files"][0].update(size=number), "another size"),
+        (lambda _, record: record["files"][0].update(size=2**70), "another size"),
         (lambda _, record: record["files"][0].update(sha256="../x"), "'run.toml' has no valid digest or size"),
     ],
 )
@@ -233,8 +221,8 @@ def test_a_chain_forged_from_end_to_end(
     ("change", "message"),
     [
         ({"notes.txt": b"hello"}, r"member 'notes\.txt' does not belong into an export"),
-        ({"manifest.json": b"{"}, r"manifest\.json: "),
-        ({"manifest.json": b'{"schema": ' + b"[" * 100_000}, r"manifest\.json: nested too deeply"),
+        ({"manifest.json": b"{"}, "the export is damaged"),
+        ({"manifest.json": b'{"schema": ' + b"[" * 100_000}, "nested too deeply"),
         ({"manifest.json": b'{"schema": "piga.export/2"}'}, "export of schema 'piga.export/2'"),
         ({"SHA256SUMS-as-is": b"none\n"}, "SHA256SUMS does not fit its members"),
         ({"manifest.json": None}, r"member 'manifest\.json' is missing"),

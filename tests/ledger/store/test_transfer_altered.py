@@ -23,15 +23,10 @@ TABLES = ("piga_store", "piga_entry", "piga_blob", "piga_chunk", "piga_head", "p
 
 
 def everything(path: Path) -> object:
-    """All rows of all tables, and the marks in the header; the words of the schema hold no evidence."""
+    """All rows of all tables; the header and the words of the schema hold no evidence."""
     connection = sqlite3.connect(path)
     try:
-        marks = [
-            connection.execute(f"PRAGMA {name}").fetchall()
-            for name in ("application_id", "user_version", "encoding")
-        ]
-        rows = [sorted(connection.execute(f"SELECT * FROM {table}").fetchall(), key=repr) for table in TABLES]
-        return marks, rows
+        return [sorted(connection.execute(f"SELECT * FROM {table}").fetchall(), key=repr) for table in TABLES]
     finally:
         connection.close()
 

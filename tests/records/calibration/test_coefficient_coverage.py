@@ -148,8 +148,7 @@ def test_page(cal, page_of):
 
 def test_dcc_and_read_back(cal, tmp_path):
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc import dcc_document, read_dcc
-    from piga.certificate.xml_signature import written
+    from piga.certificate.dcc import dcc_document, read_dcc, written
 
     raw = written(dcc_document(complete(), cal))
     names = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -191,8 +190,7 @@ def test_trend(cal):
 def test_monte_carlo_interval_is_the_one_that_is_judged_and_signed(cal, tmp_path):
     """An interval that is not symmetric: limits, guard band and DCC take its ends, not value -+ U."""
     etree = pytest.importorskip("lxml.etree")
-    from piga.certificate.dcc import dcc_document, read_dcc
-    from piga.certificate.xml_signature import written
+    from piga.certificate.dcc import dcc_document, read_dcc, written
 
     ends = (cal["k0"].value - 1e-6, cal["k0"].value + 3e-6)
     cal = replace(

@@ -25,12 +25,10 @@ from sqlalchemy import BigInteger, CheckConstraint, Column, ForeignKey, Integer,
 from sqlalchemy.pool import NullPool
 
 from piga.errors import ArgumentError, CalibrationError, PigaWarning, StoreError, needed
-from piga.ledger.store.documents import (
+from piga.ledger.store import (
     PART,
-    SCHEMAS,
     Draft,
     DraftFile,
-    Entry,
     Head,
     Identity,
     Link,
@@ -111,19 +109,6 @@ SCHEMA = 1
 _BUSY = 60.0
 """Longest time that a writer waits for another writer [s]."""
 _ADVISORY_LOCK = 0x7069676172656300
-_DAMAGED = "run piga records verify, then restore a backup"
-_NO_SPACE = "no space is left", "free some space"
-_WORDS = {
-    "disk is full": _NO_SPACE,
-    "no space left": _NO_SPACE,
-    "readonly": ("it cannot be written to", "check the rights of the file and its folder"),
-    "unable to open": ("it cannot be opened", "check its folder, and the rights of both"),
-    "locked": ("another program holds it", "try again when that has ended"),
-    "malformed": ("the file is damaged", _DAMAGED),
-    "decode": ("the file is damaged", _DAMAGED),
-    "not a database": ("is not a store of records, or is damaged", "check --store, or restore a backup"),
-}
-"""What a message of a database means, and its remedy."""
 
 
 def is_url(where: str | Path) -> bool:
@@ -163,11 +148,10 @@ def explained(name: str) -> Iterator[None]:
         yield
     except (exc.DBAPIError, exc.InvalidRequestError, OverflowError, UnicodeDecodeError, sqlite3.Error) as error:
         text = " ".join(str(getattr(error, "orig", None) or error).split())
-        what, remedy = next(
-            (words for part, words in _WORDS.items() if part in text.lower()),
-            ("the database refused", "check the name, the server and the rights"),
-        )
-        raise StoreError(f"{name}: {what} ({text})", remedy=remedy) from None
+        raise StoreError(
+            f"{name}: the database refused: {text}",
+            remedy="check --store, the rights, and the space on the disk; for a damaged file: piga records verify, or a backup",
+        ) from None
 
 
 # -- rows ----------------------------------------------------------------------------------------------
@@ -192,19 +176,25 @@ class Rows:
         self.connection.execute(STORE.insert().values(document=identity))
         self.connection.execute(HEAD.insert().values(one=1, number=0, head=sha256(identity)))
 
-    def version(self) -> int:
-        """Version of the tables; 0 if there are none yet."""
-        if self.connection.dialect.name == "sqlite":
-            owner, version = (
-                int(self.connection.exec_driver_sql(f"PRAGMA {mark}").scalar_one())
-                for mark in ("application_id", "user_version")
-            )
-            if owner != APPLICATION_ID and sa.inspect(self.connection).get_table_names():
-                raise StoreError("it is a SQLite database of another program", remedy="check --store")
-            return version if owner == APPLICATION_ID else 0
-        if not sa.inspect(self.connection).has_table(VERSION.name):
-            return 0
-        return int(self.connection.execute(sa.select(VERSION.c.version_num)).scalar_one_or_none() or 0)
+    def exists(self) -> bool:
+        """True if there are the tables of a store."""
+        tables = sa.inspect(self.connection).get_table_names()
+        if tables and VERSION.name not in tables and self.connection.dialect.name == "sqlite":
+            raise StoreError("it is a SQLite database of another program", remedy="check --store")
+        return VERSION.name in tables
+
+    def versions(self) -> list[str]:
+        """Versions of the tables: one, if nothing was changed."""
+        return list(self.connection.execute(sa.select(VERSION.c.version_num)).scalars())
+
+    def damage(self) -> list[str]:
+        """What SQLite itself finds damaged."""
+        if self.connection.dialect.name != "sqlite":
+            return []
+        rows = self.connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
+        stray = self.connection.exec_driver_sql("PRAGMA foreign_key_check").first()
+        problems = [f"SQLite integrity_check: {row}" for row in rows[:3] if row != "ok"]
+        return problems + ([] if stray is None else ["a part of a file belongs to no file"])
 
     def identity(self) -> bytes:
         """The identity document."""
@@ -217,77 +207,69 @@ class Rows:
             raise StoreError("the head is damaged in the store", remedy="restore a backup")
         return Head(row.number, row.head)
 
-    def entries(self, *conditions: sa.ColumnElement[bool]) -> Iterator[Entry]:
-        """The chain in order, or its entries for which the conditions hold. Only a few are in memory at a time."""
+    def records(self, *conditions: sa.ColumnElement[bool]) -> Iterator[Record]:
+        """The chain in order, or its records for which the conditions hold. Only a few are in memory at a time."""
         wanted = sa.select(ENTRY).where(sa.true(), *conditions).order_by(ENTRY.c.number)
         with self.connection.execute(wanted, execution_options={"yield_per": _ROWS}) as rows:
-            yield from map(_entry_of, rows)
+            for row in rows:
+                what = f"record {row.number}"
+                link, document = _as_bytes(row.link, what), _as_bytes(row.document, what)
+                yield Record(row.number, link, document, (row.head, row.id, row.serial))
 
-    def find(self, condition: sa.ColumnElement[bool]) -> Entry | None:
-        """The entry for which the condition holds; None if there is none."""
-        row = self.connection.execute(sa.select(ENTRY).where(condition)).first()
-        return None if row is None else _entry_of(row)
+    def find(self, name: str) -> Record | None:
+        """The record with this name; None if there is none."""
+        return next(self.records(ENTRY.c.id == name), None)
 
-    def add(self, entry: Entry, record: RecordDocument) -> None:
-        """Append an entry, and make it the head."""
-        place = {"number": entry.number, "head": sha256(entry.link)}
-        texts = {"id": record.id, "serial": record.serial, "link": entry.link, "document": entry.document}
-        self.connection.execute(ENTRY.insert().values(place | texts))
+    def add(self, record: Record) -> None:
+        """Append a record, and make it the head."""
+        place = {"number": record.number, "head": record.head}
+        names = {"id": record.document.id, "serial": record.document.serial}
+        self.connection.execute(
+            ENTRY.insert().values(place | names | {"link": record.raw_link, "document": record.raw})
+        )
         self.connection.execute(HEAD.update().values(place))
 
-    def file_names(self) -> set[str]:
-        """SHA-256 of every stored file."""
-        return set(self.connection.execute(sa.select(BLOB.c.sha256)).scalars())
+    def sizes(self) -> dict[str, int]:
+        """Size of every stored file [bytes] by its SHA-256."""
+        return {row.sha256: row.size for row in self.connection.execute(sa.select(BLOB))}
 
     def file(self, name: str) -> Iterator[bytes]:
         """The bytes of a stored file. Each part is checked, and the whole file at the end."""
-        wanted = sa.select(BLOB.c.size, CHUNK).select_from(BLOB.outerjoin(CHUNK)).where(BLOB.c.sha256 == name)
-        size, digest, length = None, hashlib.sha256(), 0
-        ordered = wanted.order_by(CHUNK.c.part)
-        with self.connection.execute(ordered, execution_options={"yield_per": _PARTS}) as stored:
+        return whole_file(self._parts(name), name, "is damaged in the store", "restore a backup")
+
+    def _parts(self, name: str) -> Iterator[bytes]:
+        wanted = sa.select(CHUNK).where(CHUNK.c.sha256 == name).order_by(CHUNK.c.part)
+        with self.connection.execute(wanted, execution_options={"yield_per": _PARTS}) as stored:
             for number, row in enumerate(stored):
-                size = row.size
-                if row.part is None:  # a file without content
-                    break
                 part = _as_bytes(row.data, f"file {name[:12]}")
                 if (row.part, row.digest) != (number, sha256(part)) or row.codec not in ("plain", "zlib"):
-                    raise _damaged(name)
+                    return  # then the digest of the whole is another
                 if row.codec == "zlib":
-                    with suppress(zlib.error):  # then the digest of the whole is another
+                    with suppress(zlib.error):
                         part = zlib.decompressobj().decompress(part, PART)
-                digest.update(part)
-                length += len(part)
                 yield part
-        if size is None:
-            raise StoreError(f"file {name[:12]}: is not in the store", remedy="run piga records verify")
-        if (digest.hexdigest(), length) != (name, size):
-            raise _damaged(name)
 
     def add_file(self, name: str, size: int, parts: Iterable[bytes]) -> None:
         """Store a file under its announced digest and size. A file that the store already has is not stored again."""
         if self.connection.execute(sa.select(BLOB.c.size).where(BLOB.c.sha256 == name)).first() is not None:
             return
         self.connection.execute(BLOB.insert().values(sha256=name, size=size))
-        digest, length = hashlib.sha256(), 0
-        for number, part in enumerate(parts):
-            digest.update(part)
-            length += len(part)
+        fault = "changed while it was stored", "stop the program that writes it, try again"
+        for number, part in enumerate(whole_file(parts, name, *fault)):
             codec, data = ("zlib", zlib.compress(part, 6)) if size > COMPRESS_ABOVE else ("plain", part)
             self.connection.execute(
                 CHUNK.insert().values(sha256=name, part=number, codec=codec, digest=sha256(data), data=data)
             )
-        if (digest.hexdigest(), length) != (name, size):
-            raise StoreError(
-                f"file {name[:12]}: changed while it was stored",
-                remedy="stop the program that writes it, try again",
-            )
 
 
-def _entry_of(row: sa.Row) -> Entry:
-    """A row of the chain as the bytes that are hashed."""
-    what = f"record {row.number}"
-    link, document = _as_bytes(row.link, what), _as_bytes(row.document, what)
-    return Entry(row.number, link, document, (row.head, row.id, row.serial))
+def whole_file(parts: Iterable[bytes], name: str, fault: str, remedy: str) -> Iterator[bytes]:
+    """The parts of a file. At their end it is refused if its digest is not its name."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+        yield part
+    if digest.hexdigest() != name:
+        raise StoreError(f"file {name[:12]}: {fault}", remedy=remedy)
 
 
 def _as_bytes(value: object, what: str) -> bytes:
@@ -295,10 +277,6 @@ def _as_bytes(value: object, what: str) -> bytes:
     if not isinstance(value, bytes | memoryview):
         raise StoreError(f"{what}: is damaged in the store", remedy="restore a backup")
     return bytes(value)
-
-
-def _damaged(name: str) -> StoreError:
-    return StoreError(f"file {name[:12]}: is damaged in the store", remedy="restore a backup")
 
 
 # -- store ---------------------------------------------------------------------------------------------
@@ -324,19 +302,18 @@ class Store:
             self.name, uri = str(where), f"{self.path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
             self.engine = sa.create_engine("sqlite://", creator=lambda: _connect(uri), poolclass=NullPool)
             sa.event.listen(self.engine, "begin", _begin)
-        if create:
-            with self.writing() as rows:
-                if rows.version() == 0:
-                    rows.create(identity or encode(Identity(SCHEMAS[Identity], secrets.token_hex(16), now())))
-        with self.reading() as rows:
-            version = rows.version()
-        if version == 0:
+        with self.rows(writing=create) as rows:
+            if create and not rows.exists():
+                rows.create(identity or encode(Identity(secrets.token_hex(16), now())))
+            if not rows.exists():
+                raise StoreError(
+                    f"{self.name}: holds no store yet",
+                    remedy="check --store; piga records add makes a new store",
+                )
+            versions = rows.versions()
+        if versions != [f"{SCHEMA:04d}"]:
             raise StoreError(
-                f"{self.name}: holds no store yet", remedy="check --store; piga records add makes a new store"
-            )
-        if version != SCHEMA:
-            raise StoreError(
-                f"{self.name}: made by a newer piga (schema {version}, this piga knows up to {SCHEMA})",
+                f"{self.name}: made by a newer piga (schema {', '.join(map(str, versions))}; this piga knows {SCHEMA:04d})",
                 remedy="update piga; the store was not touched",
             )
 
@@ -351,36 +328,32 @@ class Store:
         self.engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[Rows]:
-        """A read-only transaction on one snapshot."""
+    def rows(self, *, writing: bool = False) -> Iterator[Rows]:
+        """A transaction: read-only on one snapshot, or that of the only writer.
+
+        At the end of a writer's it is committed and on disk; on any error it is rolled back.
+        """
         with explained(self.name), self.engine.connect() as connection:
-            if self.path is None:
+            connection.execution_options(piga_writing=writing)
+            if self.path is None and not writing:
                 connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
             with connection.begin():
                 if self.path is not None:
-                    connection.exec_driver_sql("PRAGMA query_only=ON")
-                yield Rows(connection)
-
-    @contextmanager
-    def writing(self) -> Iterator[Rows]:
-        """The transaction of the only writer. At its end it is committed and on disk; on any error it is rolled back."""
-        with explained(self.name), self.engine.connect() as connection:
-            connection.execution_options(piga_writing=True)
-            with connection.begin():
-                if self.path is None:
+                    connection.exec_driver_sql(f"PRAGMA query_only={'OFF' if writing else 'ON'}")
+                elif writing:
                     connection.exec_driver_sql("SET LOCAL synchronous_commit = on")
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY_LOCK)))
                 yield Rows(connection)
 
     def head(self) -> Head:
         """The current head of the chain."""
-        with self.reading() as rows:
+        with self.rows() as rows:
             return rows.head()
 
     def records(self, serial: str | None = None) -> tuple[Record, ...]:
         """All records in order, or those of one instrument."""
-        with self.reading() as rows:
-            return tuple(self._each(rows, serial))
+        with self.rows() as rows:
+            return tuple(rows.records(*_of_instrument(serial)))
 
     def record(self, name: str | int) -> Record:
         """One record, by its name or by its number in this store.
@@ -390,7 +363,7 @@ class Store:
         StoreError
             If there is no such record.
         """
-        with self.reading() as rows:
+        with self.rows() as rows:
             return self._find(rows, str(name))
 
     def read(self, name: str | int, role: str) -> bytes:
@@ -401,7 +374,7 @@ class Store:
         StoreError
             If there is no such record or file, or it is damaged.
         """
-        with self.reading() as rows:
+        with self.rows() as rows:
             record = self._find(rows, str(name))
             file = record.file(role)
             if file is None:
@@ -420,8 +393,10 @@ class Store:
         out, and a :class:`piga.PigaWarning` names it.
         """
         calibrations = []
-        with self.reading() as rows:
-            kept = sorted(self._each(rows, serial), key=lambda record: (record.measured, record.number))
+        with self.rows() as rows:
+            kept = sorted(
+                rows.records(*_of_instrument(serial)), key=lambda record: (record.measured, record.number)
+            )
             old = {record.document.supersedes for record in kept}
             for record in kept:
                 file = record.file("calibration")
@@ -445,7 +420,7 @@ class Store:
             If a name would lead out of the folder, or a file exists already.
         """
         run = folder
-        with self.reading() as rows:
+        with self.rows() as rows:
             for file in self._find(rows, str(name)).document.files:
                 if inputs_only and file.role not in _INPUT_ROLES:
                     continue
@@ -462,10 +437,9 @@ class Store:
         StoreError, ArgumentError
             If the record is refused; the store is unchanged.
         """
-        with self.writing() as rows:
+        with self.rows(writing=True) as rows:
             head = rows.head()
             document = RecordDocument(
-                schema=SCHEMAS[RecordDocument],
                 id=new_id(),
                 store=_identity(rows).store,
                 number=head.number + 1,
@@ -484,17 +458,15 @@ class Store:
                 report = _keep(rows, draft.report(document))
                 document = msgspec.structs.replace(document, files=(*document.files, report))
             self.check(rows, document)
-            return self.insert(rows, document, encode(document))
+            return self.insert(rows, encode(document))
 
-    def insert(
-        self, rows: Rows, document: RecordDocument, raw: bytes, taken_over: TakenOver | None = None
-    ) -> Record:
+    def insert(self, rows: Rows, raw: bytes, taken_over: TakenOver | None = None) -> Record:
         """Append a record whose files are stored, with a new link. ``raw``: the bytes of the document."""
         head = rows.head()
-        link = Link(SCHEMAS[Link], head.number + 1, head.sha256, sha256(raw), now(), taken_over)
-        entry = Entry(link.number, encode(link), raw)
-        rows.add(entry, document)
-        return Record(link.number, sha256(entry.link), link, document)
+        link = Link(head.number + 1, head.sha256, sha256(raw), now(), taken_over)
+        record = Record(link.number, encode(link), raw)
+        rows.add(record)
+        return record
 
     def check(self, rows: Rows, document: RecordDocument) -> None:
         """Refuse a record that must not be added or imported. Its files are stored already."""
@@ -504,10 +476,8 @@ class Store:
                 _check_calibration(rows, file, document.serial)
         if document.supersedes is None:
             return
-        there = rows.find(ENTRY.c.id == document.supersedes)
         # an export may leave out a record that another amends
-        old = None if there is None else self._record(there)
-        self._check_amended(rows, document.supersedes, document.serial, old)
+        old = self._amended(rows, document.supersedes, document.serial)
         if old and old.document.store != document.store and document.store != _identity(rows).store:
             raise ArgumentError(
                 f"supersedes: record {old.id} is not of the store that the record comes from",
@@ -516,45 +486,40 @@ class Store:
 
     def amendable(self, name: str, serial: str) -> str:
         """Name of a record that a new record of this instrument may supersede; ``name`` may be its number."""
-        with self.reading() as rows:
-            old = self._find(rows, name)
-            self._check_amended(rows, old.id, serial, old)
-            return old.id
+        with self.rows() as rows:
+            old = self._find(rows, name).id
+            self._amended(rows, old, serial)
+            return old
 
-    def _check_amended(self, rows: Rows, name: str, serial: str, old: Record | None) -> None:
+    def _amended(self, rows: Rows, name: str, serial: str) -> Record | None:
+        """The record of this name, which a record of this instrument may supersede; None if there is none."""
+        old = rows.find(name)
         if old is not None and old.document.serial != serial:
             raise ArgumentError(
                 f"supersedes: record {name} is of instrument '{old.document.serial}', not '{serial}'",
                 remedy="name a record of the same instrument: piga records list",
             )
-        for other in self._each(rows, serial):
+        for other in rows.records(*_of_instrument(serial)):
             if other.document.supersedes == name:
                 raise ArgumentError(
                     f"supersedes: record {name} is superseded already, by {other.id}",
                     remedy=f"supersede {other.id}",
                 )
+        return old
 
     def _find(self, rows: Rows, name: str) -> Record:
         text = name.strip().upper()
-        if is_id(text):
-            condition = ENTRY.c.id == text
-        elif text.isascii() and text.isdigit() and len(text) < 10:
-            condition = ENTRY.c.number == int(text)
-        else:
+        number = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else None
+        if number is None and not is_id(text):
             raise StoreError(f"'{name}' is not a record", remedy="give a number, or a name like 7K3QP-9XW2M")
-        entry = rows.find(condition)
-        if entry is None:
+        record = next(rows.records(ENTRY.c.id == text if number is None else ENTRY.c.number == number), None)
+        if record is None:
             raise StoreError(f"{self.name}: no record {name}", remedy="piga records list shows them")
-        return self._record(entry)
+        return record
 
-    def _each(self, rows: Rows, serial: str | None) -> Iterator[Record]:
-        return map(self._record, rows.entries(*([] if serial is None else [ENTRY.c.serial == serial])))
 
-    def _record(self, entry: Entry) -> Record:
-        what = f"{self.name}: record {entry.number}"
-        link = decode(entry.link, Link, what)
-        document = decode(entry.document or b"", RecordDocument, what)
-        return Record(entry.number, sha256(entry.link), link, document)
+def _of_instrument(serial: str | None) -> tuple[sa.ColumnElement[bool], ...]:
+    return () if serial is None else (ENTRY.c.serial == serial,)
 
 
 def _keep(rows: Rows, file: DraftFile) -> StoredFile:
@@ -576,12 +541,7 @@ def _write_new(path: Path, parts: Iterator[bytes]) -> None:
         with part.open("wb") as stream:
             stream.writelines(parts)
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"{path}: cannot be written ({error.strerror})", remedy="choose another folder"
-        ) from None
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, write, replace=False, remedy="choose another folder", kind=StoreError)
 
 

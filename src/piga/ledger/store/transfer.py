@@ -14,56 +14,36 @@ import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
-import sqlalchemy as sa
-
 from piga._version import __version__
 from piga.errors import CancelledError, PigaError, StoreError
-from piga.ledger.store.documents import (
+from piga.ledger.store import (
     DIGEST,
     PART,
-    Entry,
     Head,
     Identity,
     Link,
+    Record,
     RecordDocument,
     TakenOver,
     checked_text,
     decode,
-    digest_of,
     sha256,
 )
-from piga.ledger.store.store import ENTRY, HEAD, SCHEMA, STORE, VERSION, Rows, Store, is_url
+from piga.ledger.store.store import Rows, Store, is_url, whole_file
 from piga.output import write_whole
 from piga.progress import Progress, report
-from piga.text_files import JsonError, json_object, open_regular
+from piga.text_files import json_object, open_regular
 
 _EXPORT = "piga.export/1"
-_MAX_MEMBERS = 1_000_000
-_MAX_DOCUMENT, _MAX_SUMS, _MAX_FILE = 16 << 20, 160 * _MAX_MEMBERS, 16 << 30
-"""Largest link or record document, ``SHA256SUMS`` (at most 137 bytes for each member) and file [bytes]."""
+_MAX_TEXT = 160 << 20
+"""Largest text of an export [bytes]: ``SHA256SUMS`` of a million members."""
 _MEMBER = re.compile(
     r"README\.txt|manifest\.json|SHA256SUMS|store\.json|(links|records)/\d{8}\.json|files/[0-9a-f]{64}"
 )
-
-_README = """\
-This is an export of calibration records by piga. It can be checked with unzip and sha256sum alone.
-
-  sha256sum -c SHA256SUMS      every member is what it was
-
-store.json is the identity of the store. links/N.json is the N-th link of its chain, records/N.json the record
-it vouches for, files/X the file with the SHA-256 X. The chain holds when
-
-  "previous" of links/00000001.json is the SHA-256 of store.json,
-  "previous" of each later link is the SHA-256 of the link before it,
-  "record" of each link is the SHA-256 of its record,
-  each file that a record lists is there under its SHA-256.
-
-The SHA-256 of the last link is the head. A head noted earlier (every report of a record prints one) is the
-SHA-256 of one of the links: then nothing up to that link was altered since.
-"""
 
 
 def _write_members(rows: Rows, path: Path, numbers: set[int] | None, progress: Progress | None) -> None:
@@ -76,16 +56,15 @@ def _write_members(rows: Rows, path: Path, numbers: set[int] | None, progress: P
             digests[name] = sha256(data)
 
         identity = rows.identity()
-        add("README.txt", _README.encode())
+        add("README.txt", files("piga.data").joinpath("export-readme.txt").read_bytes())
         add("store.json", identity)
         head, number, wanted = sha256(identity), 0, set()
-        for entry in rows.entries():
-            head, number = sha256(entry.link), entry.number
-            add(f"links/{number:08d}.json", entry.link)
-            if entry.document is not None and (numbers is None or number in numbers):
-                add(f"records/{number:08d}.json", entry.document)
-                document = decode(entry.document, RecordDocument, "record")
-                wanted |= {file.sha256 for file in document.files}
+        for record in rows.records():
+            head, number = record.head, record.number
+            add(f"links/{number:08d}.json", record.raw_link)
+            if record.raw is not None and (numbers is None or number in numbers):
+                add(f"records/{number:08d}.json", record.raw)
+                wanted |= {file.sha256 for file in record.document.files}
         for done, name in enumerate(sorted(wanted), start=1):
             with target.open(_member(f"files/{name}"), "w", force_zip64=True) as stream:
                 stream.writelines(rows.file(name))
@@ -113,18 +92,18 @@ def _member(name: str) -> zipfile.ZipInfo:
 
 
 class Export:
-    """An export opened for reading. Its members, their sizes and ``SHA256SUMS`` are checked when it is opened."""
+    """An export opened for reading. Its members and ``SHA256SUMS`` are checked when it is opened."""
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         self._stream = open_regular(path, "an export of records", StoreError)
         try:  # what was opened is read, even if another file replaces it now
             self.zip = zipfile.ZipFile(self._stream)
-            self.members = self._checked_members()
-            self._check_sums()
+            self.members = {member.filename: member for member in self.zip.infolist()}
+            self._check_members()
         except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
             self._stream.close()
-            raise self._damaged(str(error)) from None
+            raise self._damaged(str(error)[:200]) from None
         except StoreError:
             self._stream.close()
             raise
@@ -140,48 +119,30 @@ class Export:
         """The identity document of the store that wrote the export."""
         return self._text("store.json")
 
-    def entries(self) -> Iterator[Entry]:
+    def records(self) -> Iterator[Record]:
         """The chain in order. Records that are not in the export have no document."""
-        numbers = sorted(int(name[6:14]) for name in self.members if name.startswith("links/"))
-        for number in numbers:
-            name = f"records/{number:08d}.json"
-            yield Entry(
-                number,
-                self._text(f"links/{number:08d}.json"),
-                self._text(name) if name in self.members else None,
-            )
+        for name in sorted(name for name in self.members if name.startswith("links/")):
+            document = name.replace("links/", "records/")
+            raw = self._text(document) if document in self.members else None
+            yield Record(int(name[6:14]), self._text(name), raw)
 
-    def file_names(self) -> set[str]:
-        """SHA-256 of every file in the export."""
-        return {name.removeprefix("files/") for name in self.members if name.startswith("files/")}
+    def sizes(self) -> dict[str, int]:
+        """Size of every file in the export [bytes] by its SHA-256."""
+        files = (member for member in self.members.values() if member.filename.startswith("files/"))
+        return {member.filename.removeprefix("files/"): member.file_size for member in files}
 
     def file(self, name: str) -> Iterator[bytes]:
-        """The parts of a file; never more bytes than its stated size."""
-        return self._parts(f"files/{name}")
+        """The bytes of a file in parts. The whole is checked at the end."""
+        return whole_file(self._parts(f"files/{name}"), name, f"was altered in {self.name}", "use another copy")
 
-    def _checked_members(self) -> dict[str, zipfile.ZipInfo]:
-        members: dict[str, zipfile.ZipInfo] = {}
-        limits = {"files/": _MAX_FILE, "SHA256": _MAX_SUMS}
-        for member in self.zip.infolist():
-            name = member.filename
+    def _check_members(self) -> None:
+        """Check names, schema and sums of the members. The files are checked when they are read, by their names."""
+        members = self.zip.infolist()
+        for member in members:
             packed_as_piga_packs = member.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-            if (
-                not (_MEMBER.fullmatch(name) and packed_as_piga_packs)
-                or name in members
-                or len(members) >= _MAX_MEMBERS
-                or member.file_size > limits.get(name[:6], _MAX_DOCUMENT)
-                or member.flag_bits & 1
-            ):
-                raise self._damaged(f"member '{name[:80]}' does not belong into an export")
-            members[name] = member
-        return members
-
-    def _check_sums(self) -> None:
-        """Check the schema, and that the sums fit the members. The files are checked when they are read, by their names."""
-        try:
-            schema = json_object(self._text("manifest.json")).get("schema")
-        except JsonError as error:
-            raise self._damaged(f"manifest.json: {str(error)[:200]}") from None
+            if not (_MEMBER.fullmatch(member.filename) and packed_as_piga_packs) or member.flag_bits & 1:
+                raise self._damaged(f"member '{member.filename[:80]}' does not belong into an export")
+        schema = json_object(self._text("manifest.json")).get("schema")
         if schema != _EXPORT:
             raise StoreError(
                 f"{self.name}: export of schema '{str(schema)[:80]}'", remedy="a newer one needs a newer piga"
@@ -191,17 +152,19 @@ class Export:
             for name in self.members
             if name != "SHA256SUMS"
         }
-        if _listing(digests) != self._text("SHA256SUMS"):
+        if _listing(digests) != self._text("SHA256SUMS") or len(members) != len(self.members):
             raise self._damaged("SHA256SUMS does not fit its members")
 
     def _text(self, name: str) -> bytes:
+        if name in self.members and self.members[name].file_size > _MAX_TEXT:
+            raise self._damaged(f"member '{name}' is too large")
         return b"".join(self._parts(name))
 
     def _parts(self, name: str) -> Iterator[bytes]:
         if name not in self.members:
             raise self._damaged(f"member '{name}' is missing")
         try:
-            with self.zip.open(self.members[name]) as stream:  # never more than the size that was checked
+            with self.zip.open(self.members[name]) as stream:  # never more than its stated size
                 while part := stream.read(PART):
                     yield part
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError) as error:
@@ -265,11 +228,12 @@ def verify(where: str | Path, heads: Iterable[str] = (), progress: Progress | No
             return result
         with Store(where) as store:
             result.name = store.name
-            with store.reading() as rows:
-                if store.path is not None:
-                    _check_sqlite(result, rows.connection)
+            with store.rows() as rows:
+                result.problems += rows.damage()
                 check_chain(result, rows, heads, progress)
-                _check_tables(result, rows)
+                if rows.head() != Head(result.records, result.head):
+                    there = f"{result.records} records are there"
+                    result.problems.append(f"the chain was cut short, or its end altered: {there}")
     except CancelledError:
         raise
     except PigaError as error:
@@ -296,20 +260,22 @@ def check_chain(
     seen: dict[str, int] = {head: 0}
     names: set[str] = set()
     wanted: dict[str, int] = {}
-    for entry in source.entries():
+    for record in source.records():
+        number = record.number
         try:
-            link = decode(entry.link, Link, f"link {entry.number}", strict=True)
-            if entry.number != expected or link.number != expected:
-                result.problems.append(f"record {expected} is missing: {entry.number} follows")
+            link = decode(record.raw_link, Link, f"link {number}", strict=True)
+            if number != expected or link.number != expected:
+                result.problems.append(f"record {expected} is missing: {number} follows")
             if link.previous != head:
-                result.problems.append(f"record {entry.number}: its link does not follow the one before it")
-            if entry.document is not None:
-                _check_document(result, entry, link, store, names, wanted)
+                result.problems.append(f"record {number}: its link does not follow the one before it")
+            if record.raw is not None:
+                words = _problems_of(record, record.raw, link, store, names, wanted)
+                result.problems += [f"record {number}: {problem}" for problem in words]
         except StoreError as error:
             result.problems.append(error.message)
-        head, expected = sha256(entry.link), entry.number + 1
-        seen[head] = entry.number
-        result.records += entry.document is not None
+        head, expected = record.head, number + 1
+        seen[head] = number
+        result.records += record.raw is not None
     _check_files(result, source, wanted, progress)
     result.head = head
     for known in heads:
@@ -320,73 +286,49 @@ def check_chain(
             )
 
 
-def _check_document(
-    result: Verification, entry: Entry, link: Link, store: str, names: set[str], wanted: dict[str, int]
-) -> None:
-    raw = entry.document or b""
+def _problems_of(
+    record: Record, raw: bytes, link: Link, store: str, names: set[str], wanted: dict[str, int]
+) -> Iterator[str]:
+    """What is wrong with a record. Its name is added to ``names``, its files with their sizes to ``wanted``."""
     if sha256(raw) != link.record:
-        result.problems.append(f"record {entry.number}: was altered (its SHA-256 is not the one in its link)")
-    document = decode(raw, RecordDocument, f"record {entry.number}", strict=True)
-    if entry.columns not in (None, (sha256(entry.link), document.id, document.serial)):
-        result.problems.append(f"record {entry.number}: the table's columns do not fit the record")
+        yield "was altered (its SHA-256 is not the one in its link)"
+    document = decode(raw, RecordDocument, f"record {record.number}", strict=True)
+    if record.columns not in (None, (record.head, document.id, document.serial)):
+        yield "the table's columns do not fit the record"
     place = (store, link.number, link.previous)
     if link.taken_over is not None:
-        place = _place_of_origin(link.taken_over, link.record)
+        identity = decode(link.taken_over.identity.encode(), Identity, "identity of the origin", strict=True)
+        origin = decode(link.taken_over.link.encode(), Link, "link of the origin", strict=True)
+        place = (
+            (identity.store, origin.number, origin.previous) if origin.record == link.record else ("", 0, "")
+        )
     if (document.store, document.number, document.after) != place:
-        result.problems.append(f"record {entry.number}: was not written for this place")
+        yield "was not written for this place"
     if document.id in names:
-        result.problems.append(f"record {entry.number}: has the name of another ({document.id})")
+        yield f"has the name of another ({document.id})"
     names.add(document.id)
     for file in document.files:
         if not DIGEST.fullmatch(file.sha256) or wanted.setdefault(file.sha256, file.size) != file.size:
-            result.problems.append(f"record {entry.number}: file '{file.name}' has no valid digest or size")
-
-
-def _place_of_origin(taken_over: TakenOver, record: str) -> tuple[str, int, str]:
-    """For an imported record: its original store, its number there and the head before it."""
-    identity = decode(taken_over.identity.encode(), Identity, "identity of the origin", strict=True)
-    link = decode(taken_over.link.encode(), Link, "link of the origin", strict=True)
-    return (identity.store, link.number, link.previous) if link.record == record else ("", 0, "")
+            yield f"file '{file.name}' has no valid digest or size"
 
 
 def _check_files(
     result: Verification, source: _Source, wanted: dict[str, int], progress: Progress | None
 ) -> None:
-    there = source.file_names()
-    for name in sorted(wanted.keys() - there):
+    there = source.sizes()
+    for name in sorted(wanted.keys() - there.keys()):
         result.problems.append(f"file {name[:12]}: is missing")
-    for name in sorted(there - wanted.keys()):
+    for name in sorted(there.keys() - wanted.keys()):
         result.problems.append(f"file {str(name)[:12]}: belongs to no record")
-    both = sorted(wanted.keys() & there)
+    both = sorted(wanted.keys() & there.keys())
     for name in both:
         try:
-            if digest_of(source.file(name)) != (name, wanted[name]):
-                result.problems.append(f"file {name[:12]}: was altered")
+            if {sum(map(len, source.file(name))), there[name]} != {wanted[name]}:
+                result.problems.append(f"file {name[:12]}: has another size than its record says")
         except StoreError as error:
             result.problems.append(error.message)
         result.files += 1
         report(progress, result.files, len(both), "checking")
-
-
-def _check_tables(result: Verification, rows: Rows) -> None:
-    """Check the tables of one row, and that the chain is as long as the head says."""
-    if rows.head() != Head(result.records, result.head):
-        result.problems.append(
-            f"the chain was cut short, or its end altered: {result.records} records are there"
-        )
-    for table in (STORE, HEAD, VERSION):
-        if rows.connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one() != 1:
-            result.problems.append(f"table {table.name}: one row is needed")
-    if rows.connection.execute(sa.select(VERSION.c.version_num)).scalar() != f"{SCHEMA:04d}":
-        result.problems.append("the version of the tables was altered")
-
-
-def _check_sqlite(result: Verification, connection: sa.Connection) -> None:
-    rows = connection.exec_driver_sql("PRAGMA integrity_check").scalars().all()
-    if rows != ["ok"]:
-        result.problems.append(f"SQLite integrity_check: {'; '.join(str(row) for row in rows[:3])}")
-    if connection.exec_driver_sql("PRAGMA foreign_key_check").first() is not None:
-        result.problems.append("a part of a file belongs to no file")
 
 
 # -- transfer ------------------------------------------------------------------------------------------
@@ -405,7 +347,7 @@ def export_records(
 
     def write(part: Path) -> None:
         nonlocal result
-        with store.reading() as rows:
+        with store.rows() as rows:
             _write_members(rows, part, numbers, progress)
         result = verify(part, progress=progress)
         result.require_sound(store.name)
@@ -428,32 +370,31 @@ def import_records(store: Store, path: Path, operator: str, reason: str) -> list
         checked.require_sound(export.name)
         identity = export.identity().decode()
         added = []
-        with store.writing() as rows:
-            for entry in export.entries():
-                if entry.document is None:
+        with store.rows(writing=True) as rows:
+            for record in export.records():
+                if record.raw is None:
                     continue
-                document = decode(entry.document, RecordDocument, "record")
-                if (there := rows.find(ENTRY.c.id == document.id)) is not None:
-                    if there.document == entry.document:
+                name = record.document.id
+                if (there := rows.find(name)) is not None:
+                    if there.raw == record.raw:
                         continue
                     raise StoreError(
-                        f"record {document.id} is in the store already, with other content",
+                        f"record {name} is in the store already, with other content",
                         remedy="one of the two was changed: run piga records verify on both",
                     )
-                _copy_files(rows, export, document)
+                _copy_files(rows, export, record)
                 try:
-                    store.check(rows, document)
+                    store.check(rows, record.document)
                 except PigaError as error:
                     raise StoreError(
-                        f"{export.name}: record {document.id[:20]!r} (number {entry.number} there) cannot be taken over: "
+                        f"{export.name}: record {name[:20]!r} (number {record.number} there) cannot be taken over: "
                         f"{error.message}",
                         remedy="nothing was imported: ask its laboratory for an export without it (--record)",
                     ) from None
-                link = decode(entry.link, Link, f"link {entry.number}")
-                origin = link.taken_over or TakenOver(identity, entry.link.decode(), "", "")
+                origin = record.link.taken_over or TakenOver(identity, record.raw_link.decode(), "", "")
                 taken_over = TakenOver(origin.identity, origin.link, operator, reason)
-                store.insert(rows, document, entry.document, taken_over)
-                added.append(document.id)
+                store.insert(rows, record.raw, taken_over)
+                added.append(name)
         return added
 
 
@@ -463,20 +404,19 @@ def restore(source: Path, target: str | Path) -> Verification:
 
     def fill(place: str | Path) -> None:
         """The copy is checked before it is committed."""
-        with Store(place, create=True, identity=export.identity()) as store, store.writing() as rows:
+        with Store(place, create=True, identity=export.identity()) as store, store.rows(writing=True) as rows:
             if rows.head().number or rows.identity() != export.identity():
                 raise StoreError(
                     f"{store.name}: there is a store already", remedy="restore into an empty database"
                 )
-            for entry in export.entries():
-                if entry.document is None:
+            for record in export.records():
+                if record.raw is None:
                     raise StoreError(
-                        f"the export lacks record {entry.number}",
+                        f"the export lacks record {record.number}",
                         remedy="restore from a backup, or import what is there",
                     )
-                document = decode(entry.document, RecordDocument, "record")
-                _copy_files(rows, export, document)
-                rows.add(entry, document)
+                _copy_files(rows, export, record)
+                rows.add(record)
             check_chain(result, rows)
             result.require_sound(result.name)
             result.name = store.name if is_url(target) else str(target)
@@ -489,6 +429,6 @@ def restore(source: Path, target: str | Path) -> Verification:
     return result
 
 
-def _copy_files(rows: Rows, export: Export, document: RecordDocument) -> None:
-    for file in document.files:
+def _copy_files(rows: Rows, export: Export, record: Record) -> None:
+    for file in record.document.files:
         rows.add_file(file.sha256, file.size, export.file(file.sha256))

@@ -16,9 +16,15 @@ from tests.formats.test_formats_fuzz import mutated, seeded
 etree = pytest.importorskip("lxml.etree")
 pytest.importorskip("signxml")
 
-from piga.certificate import xml_signature  # noqa: E402
-from piga.certificate.dcc import calibration_of, dcc_document, read_dcc  # noqa: E402
-from piga.certificate.xml_signature import sign_xml, verify_signature, written  # noqa: E402
+from piga.certificate import dcc  # noqa: E402
+from piga.certificate.dcc import (  # noqa: E402
+    calibration_of,
+    dcc_document,
+    read_dcc,
+    sign_xml,
+    verify_signature,
+    written,
+)
 from tests.reports.example import calibration  # noqa: E402
 
 
@@ -86,7 +92,7 @@ def test_a_signer_on_a_revocation_list_in_the_file_is_refused(
         + b"</x:EncapsulatedCRLValue></x:QualifyingProperties>"
     )
     root = etree.fromstring(signed)
-    etree.SubElement(root[-1], f"{xml_signature._DS}Object").append(etree.fromstring(properties))
+    etree.SubElement(root[-1], f"{dcc._DS}Object").append(etree.fromstring(properties))
     path = put(tmp_path, written(root))
     if refused:
         with pytest.raises(DataError, match="of the signer was revoked on 2026-05-04"):
@@ -263,7 +269,7 @@ ATTACKS = {
 def test_document_types_are_refused(tmp_path, attack, encoding):
     path = put(tmp_path, ATTACKS[attack].encode(encoding))
     with pytest.raises(DataError, match=r"document type|not valid XML"):
-        xml_signature.read_xml(path)
+        dcc.read_xml(path)
 
 
 def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
@@ -275,6 +281,6 @@ def test_damaged_large_and_missing_files(tmp_path, monkeypatch):
         read_dcc(put(tmp_path, b"<a>" * 3000))
     with pytest.raises(DataError, match="cannot be read"):
         read_dcc(tmp_path / "none.xml")
-    monkeypatch.setattr(xml_signature, "MOST_XML_BYTES", 10)
+    monkeypatch.setattr(dcc, "MOST_XML_BYTES", 10)
     with pytest.raises(DataError, match="larger than"):
         read_dcc(put(tmp_path, b"<a>" + b" " * 20 + b"</a>"))

@@ -8,7 +8,7 @@ import pytest
 
 import piga
 from piga.campaign import collect, open_campaign, read_campaign
-from piga.campaign.subjects import _seen, compute
+from piga.campaign.shards import _seen, compute
 from piga.cli.main import app
 from tests.campaign.small import ROOT, STAND, collected, computed, find, rows, written
 from tests.reports.example import calibration
