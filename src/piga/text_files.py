@@ -26,7 +26,7 @@ from piga.errors import ArgumentError, DataError, PigaError, RunFileError, Where
 from piga.units import LARGEST
 
 T = TypeVar("T", bound=msgspec.Struct)
-Converted = TypeVar("Converted")
+_Converted = TypeVar("_Converted")
 
 _MAX_UNPACKED = 2 << 30
 """Largest unpacked size of the wanted part of a container [bytes]."""
@@ -34,7 +34,7 @@ LARGEST_SAMPLE = 1e30
 """Largest absolute value of a sample in any unit. A larger value is damage. Squares of smaller values stay finite."""
 MAX_SEGMENTS = 100_000
 """Largest number of different labels in the segment column of a record."""
-MOST_NAME_LETTERS = 200
+_MOST_NAME_LETTERS = 200
 """Most characters of a name. A file name may have 255 bytes."""
 _MOST_TOML_BYTES = 1 << 20
 """Largest TOML file that is read [bytes]. Run files have a few kilobytes."""
@@ -94,8 +94,8 @@ def check_label(text: str, what: str) -> None:
     """Refuse a name of an instrument, run or segment that does not fit into a list, a file name and a page."""
     if not text.strip():
         raise DataError(f"{what} is empty", remedy="give it a name")
-    if len(text) > MOST_NAME_LETTERS:
-        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {MOST_NAME_LETTERS} or fewer")
+    if len(text) > _MOST_NAME_LETTERS:
+        raise DataError(f"{what} has {len(text)} characters", remedy=f"use {_MOST_NAME_LETTERS} or fewer")
     odd = next((letter for letter in text if not letter.isprintable() and letter != "\u3000"), None)
     if odd is not None:
         raise DataError(
@@ -211,8 +211,8 @@ _ONE_AT_A_TIME = Lock()
 
 
 def converted(
-    value: object, kind: type[Converted], dec_hook: Callable[[type, Any], Any] | None = None
-) -> Converted:
+    value: object, kind: type[_Converted], dec_hook: Callable[[type, Any], Any] | None = None
+) -> _Converted:
     """:func:`msgspec.convert` of a table or a record, by one thread at a time.
 
     Two threads that use a type for the first time at the same time would crash the interpreter.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from piga.records.calibration.calibration import Calibration
     from piga.records.run import Run
 
-CHUNK_ROWS = 1 << 16
+_CHUNK_ROWS = 1 << 16
 """Rows per chunk of a Parquet file or a container."""
 MOST_LISTED = 60
 """Most columns that a message lists."""
@@ -155,7 +155,7 @@ class TableStream(RecordStream):
 
     def batches(self) -> Iterator[tuple[Any, NDArray[np.int64]]]:
         """Record batches, and the file rows of each."""
-        return with_rows(self.table.select(self.wanted).to_batches(max_chunksize=CHUNK_ROWS), self.rows)
+        return with_rows(self.table.select(self.wanted).to_batches(max_chunksize=_CHUNK_ROWS), self.rows)
 
 
 def with_rows(batches: Iterable[Any], rows: NDArray[np.int64]) -> Iterator[tuple[Any, NDArray[np.int64]]]:
@@ -250,7 +250,7 @@ class ParquetStream(RecordStream):
         """Record batches, and the file rows of each."""
         row = 1
         with _open(self.path, [name for name in self.wanted if name not in self.numeric]) as source:
-            for batch in source.iter_batches(CHUNK_ROWS, columns=self.wanted):
+            for batch in source.iter_batches(_CHUNK_ROWS, columns=self.wanted):
                 yield batch, np.arange(row, row + batch.num_rows)
                 row += batch.num_rows
 

@@ -39,20 +39,20 @@ from piga.text_files import check_unpacked, first_line, open_regular
 _COLUMN_OF = re.compile(r"^(.*)\(:,\s*(\d+)\)$")
 
 
-def split_name(name: str) -> tuple[str, int | None]:
+def _split_name(name: str) -> tuple[str, int | None]:
     """``f(:,2)`` is column 2 (counted from 1, as MATLAB does) of the matrix ``f``."""
     match = _COLUMN_OF.match(name)
     return (match.group(1), int(match.group(2))) if match else (name, None)
 
 
-def matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
+def _matrix_columns(name: str, shape: tuple[int, ...]) -> list[str]:
     """Names of the columns of an array: its own, or ``f(:,1)`` and so on for a matrix with few columns."""
     if len(shape) == 2 and 1 < shape[1] <= MOST_LISTED and shape[0] > 1:
         return [f"{name}(:,{k + 1})" for k in range(shape[1])]
     return [name]
 
 
-def label_text(value: object) -> str:
+def _label_text(value: object) -> str:
     """Segment label of a cell. Bytes are decoded, whole numbers have no decimal point, None and nan give an empty text."""
     if isinstance(value, np.ndarray) and value.size == 1:  # of MATLAB
         value = value.reshape(-1)[0].item()
@@ -123,11 +123,11 @@ class Container(TableStream):
     def _columns(self) -> dict[str, Column]:
         columns, first = dict[str, Column](), self.wanted[0]
         for name in self.wanted:
-            plain, number = split_name(name)
+            plain, number = _split_name(name)
             found = self.matching(plain)
             if not found:
                 listed = [
-                    part for one, source in self._sources.items() for part in matrix_columns(one, source.shape)
+                    part for one, source in self._sources.items() for part in _matrix_columns(one, source.shape)
                 ]
                 raise no_column(self.path, plain, listed)
             if len(found) > 1:
@@ -136,7 +136,7 @@ class Container(TableStream):
             source = self._sources[found[0]]
             values = self._vector(name, plain, number, source.read())
             if name not in self.numeric:
-                values = np.array([label_text(value) for value in values.tolist()], object)
+                values = np.array([_label_text(value) for value in values.tolist()], object)
             elif values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
                 words = f"column '{name}' holds {values.dtype.name}, not numbers"
                 raise self.refusal(words, REMEDIES[1], name)
@@ -240,7 +240,7 @@ class Mat(Hdf5):
         from scipy.io import loadmat, whosmat
 
         shapes = {name: shape for name, shape, _ in whosmat(self.path)}
-        names = {split_name(name)[0].split(".")[0] for name in self.wanted}
+        names = {_split_name(name)[0].split(".")[0] for name in self.wanted}
         names = names if names <= {*shapes} else {*shapes}
         for name in names:
             check_unpacked(self.path, 8 * math.prod(shapes[name]))
@@ -373,7 +373,7 @@ class Sheet:
                 hours=cell.hour, minutes=cell.minute, seconds=cell.second, microseconds=cell.microsecond
             )
         cell = cell.total_seconds() if isinstance(cell, timedelta) else cell
-        return _ODD_SIGNS.sub(" ", label_text(cell))
+        return _ODD_SIGNS.sub(" ", _label_text(cell))
 
 
 CONTAINERS: dict[str, type[Container]] = {

@@ -32,7 +32,7 @@ from piga.text_files import LARGEST_SAMPLE, MAX_SEGMENTS, open_regular
 from piga.units import conversion_factor, parse_unit, to_si
 
 
-def open_stream(folder: Path, data: DataTable) -> RecordStream:
+def _open_stream(folder: Path, data: DataTable) -> RecordStream:
     """Open the data file of a run file. ``folder`` is that of the run file; ``data`` is its ``[data]`` table."""
     path, columns = folder / data.file, (tuple(data.number_columns()), data.label_column)
     kind, stamp = file_kind(path), data.time.stamp if data.time else None
@@ -141,7 +141,7 @@ def read_columns(folder: Path, data: DataTable) -> RawColumns:
     """Read the whole data file of a run file. It must not change while it is read."""
     path = folder / data.file
     before = _state(path)
-    raw = collect(path, data, open_stream(folder, data))
+    raw = collect(path, data, _open_stream(folder, data))
     raw.inputs[path.name] = file_digest(path)
     if _state(path) != before:
         raise refusal(path, "the file changed while it was read", "stop what writes it, then try again")

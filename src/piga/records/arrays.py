@@ -23,14 +23,14 @@ from piga.errors import DataError
 
 LARGE_BYTES = 32 << 20
 """Size above which an array lies in a file [bytes]: 4 million numbers."""
-BLOCK_ROWS = 1 << 16
+_BLOCK_ROWS = 1 << 16
 """Rows per block where a record is worked through in blocks: columns that a stand computes, and compensation."""
 
 
 def spans(count: int) -> Iterator[slice]:
-    """Slices of at most :data:`BLOCK_ROWS` rows, in order."""
-    for start in range(0, count, BLOCK_ROWS):
-        yield slice(start, min(start + BLOCK_ROWS, count))
+    """Slices of at most :data:`_BLOCK_ROWS` rows, in order."""
+    for start in range(0, count, _BLOCK_ROWS):
+        yield slice(start, min(start + _BLOCK_ROWS, count))
 
 
 def changes(values: NDArray[Any]) -> NDArray[Any]:

@@ -21,7 +21,7 @@ from piga.records.terms import GYRO, check_terms, integral_unit, scale_factor_in
 from piga.text_files import check_label, convert_toml, si_unit, toml_document
 from piga.units import conversion_factor, parse_unit, to_si
 
-GRAVITY_NORM = "gravity-norm"
+_GRAVITY_NORM = "gravity-norm"
 """Value of ``[data] reference`` in the run file of a set of accelerometers: the size of gravity is its reference."""
 ASSUMED_SOURCES = ("earth_rate", "height", "servo")
 """Sources with a size that piga assumes if nobody states it. They can be waived, too."""
@@ -442,7 +442,7 @@ def drawn_for(name: str) -> Draw:
 def is_set(document: dict[str, Any]) -> bool:
     """True for the tables of a run file of a set."""
     data = document.get("data")
-    return isinstance(data, dict) and data.get("reference") == GRAVITY_NORM
+    return isinstance(data, dict) and data.get("reference") == _GRAVITY_NORM
 
 
 def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
@@ -457,7 +457,7 @@ def read_run_file(path: str | Path, raw: bytes | None = None) -> RunFile:
     check_results(path.parent)
     document = toml_document(path, raw)
     if is_set(document):
-        words = f"{path}: the run file of a set of accelerometers ([data] reference = '{GRAVITY_NORM}')"
+        words = f"{path}: the run file of a set of accelerometers ([data] reference = '{_GRAVITY_NORM}')"
         raise RunFileError(words, remedy="give it to 'piga calibrate'; only that command takes a set")
     run_file = convert_toml(path, document, RunFile)
     try:

@@ -25,7 +25,7 @@ from piga.formats.text.time_stamp import TimeStamp, forms_of, time_stamp
 from piga.text_files import open_regular
 from piga.units import parse_unit
 
-SNIFF_BYTES = 1 << 16
+_SNIFF_BYTES = 1 << 16
 SEPARATORS = ";\t,|"
 _MOST_SEARCHED = 200
 """Rows among which the names are looked for."""
@@ -157,7 +157,7 @@ def _named_columns(
         )
         fixes = [Fix("data", "header_row", False), Fix("data", "header_row")]
         raise refusal(path, "the first row holds numbers, not column names", remedy, row=at + 1, fixes=fixes)
-    return units_in_names(single_names(_as_wide_as_data(names, sample, separator)))
+    return units_in_names(_single_names(_as_wide_as_data(names, sample, separator)))
 
 
 def _head_cells(line: str, separator: str) -> tuple[str, ...]:
@@ -232,7 +232,7 @@ def _find_separator(header: str, sample: list[str]) -> str:
     return max(same, key=header.count) if same else next(iter(present), ",")
 
 
-def single_names(names: tuple[str, ...]) -> tuple[str, ...]:
+def _single_names(names: tuple[str, ...]) -> tuple[str, ...]:
     """The names, those that stand more than once with their number: ``fx#1`` and ``fx#2``."""
     total, seen = Counter(names), Counter[str]()
     numbered = []
@@ -394,9 +394,9 @@ def _decoded(head: bytes, encoding: str) -> str | None:
 
 PIECE_BYTES = 4 << 20
 """Bytes read at a time."""
-MAX_LINE = 16 << 20
+_MAX_LINE = 16 << 20
 """Longest line [bytes]."""
-MAX_HEAD = 1 << 20
+_MAX_HEAD = 1 << 20
 """Bytes within which header, units and first data row must lie."""
 _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 """Encodings that need no conversion."""
@@ -405,21 +405,21 @@ _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 class TextSource:
     """Lines of a text file.
 
-    ``head`` holds the complete lines within the first :data:`MAX_HEAD` bytes, as UTF-8. ``cut`` is True, after the last piece,
+    ``head`` holds the complete lines within the first :data:`_MAX_HEAD` bytes, as UTF-8. ``cut`` is True, after the last piece,
     if the last line had no line end and was left out.
     """
 
     def __init__(self, path: Path, encoding: str | None, *, wanted: Iterable[str] = ()) -> None:
         self.path, self.cut = path, False
-        first = next(self._blocks(MAX_HEAD + 1), b"")
-        if not first or (len(first) <= MAX_HEAD and first.isspace()):
+        first = next(self._blocks(_MAX_HEAD + 1), b"")
+        if not first or (len(first) <= _MAX_HEAD and first.isspace()):
             raise refusal(path, "the file is empty", "check that the logger wrote data")
-        self.encoding = _find_encoding(first[:SNIFF_BYTES], path, encoding, wanted)
-        text = b"".join(self._as_utf8(iter([first[:MAX_HEAD]])))
+        self.encoding = _find_encoding(first[:_SNIFF_BYTES], path, encoding, wanted)
+        text = b"".join(self._as_utf8(iter([first[:_MAX_HEAD]])))
         self._refuse_utf16(text[:256])
         self._only_cr = b"\n" not in text
         text = text.replace(b"\r", b"\n") if self._only_cr else text
-        whole = len(first) <= MAX_HEAD
+        whole = len(first) <= _MAX_HEAD
         end = max(text.rfind(b"\n"), text.rfind(b"\r")) + 1
         self.head = text if whole and not end else text[:end]
 
@@ -432,8 +432,8 @@ class TextSource:
             header -= dropped
             end = max(data.rfind(b"\n") + 1, dropped)
             rest = data[end:]
-            if len(rest) > MAX_LINE:
-                raise refusal(self.path, f"a line is longer than {MAX_LINE >> 20} MiB", _EXPORT)
+            if len(rest) > _MAX_LINE:
+                raise refusal(self.path, f"a line is longer than {_MAX_LINE >> 20} MiB", _EXPORT)
             if end > dropped:
                 yield data[dropped:end]
         end = rest.rfind(b"\r") + 1

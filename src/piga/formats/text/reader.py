@@ -359,10 +359,7 @@ def _cell_hint(cell: str, form: TextFormat, name: str) -> tuple[str, tuple[Fix, 
         return words, (Fix("data", "decimal", ","),)
     if cell.replace("'", "").replace(" ", "").replace("\u00a0", "").isdecimal():
         return "; remove the thousands separators", ()
-    return missing_hint(cell) if cell and not cell[0].isdigit() else ("", ())
-
-
-def missing_hint(word: str) -> tuple[str, tuple[Fix, ...]]:
-    """What to do with a word among numbers, in words and as a key of the run file."""
-    words = f"; if '{word[:20]}' marks a missing value, add [data] missing = ['{word[:20]}']"
-    return words, (Fix("data", "missing", [word[:20]]),)
+    if not cell or cell[0].isdigit():
+        return "", ()
+    words = f"; if '{cell[:20]}' marks a missing value, add [data] missing = ['{cell[:20]}']"
+    return words, (Fix("data", "missing", [cell[:20]]),)

@@ -30,7 +30,7 @@ MOST_BYTES = 256 << 20
 """Largest file [bytes]."""
 ROUNDING = 1e-9
 """Largest rounding error of a correlation (own choice). The smallest eigenvalue may be this, times the matrix size, below zero."""
-SAME = 1e-6
+_SAME = 1e-6
 """Largest relative difference between a standard uncertainty and the square root of its variance (own choice)."""
 _MOST_OUTLIERS = 10_000
 """Most outliers that are listed one by one. The events of the quality section count all of them."""
@@ -267,7 +267,7 @@ def _faults_of_covariance(stated: _Covariance, c: Calibration) -> Iterator[str]:
     matrix = np.array(stated.matrix, dtype=float).reshape(size, size)
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     for k, std in zip(c.coefficients, scale.tolist(), strict=True):
-        if abs(std - k.std) > SAME * max(k.std, std):
+        if abs(std - k.std) > _SAME * max(k.std, std):
             yield f"the standard uncertainty of '{k.key}' is {k.std:.6g}, but the covariance gives {std:.6g}"
     scale[scale == 0.0] = 1.0
     correlation = matrix / scale / scale[:, None]
