@@ -121,7 +121,7 @@ RECORDS: dict[str, tuple[Callable[[Path], Path], set[str]]] = {
     "time-stamps": (time_stamps, {"time"}),
     "another-name": (another_name, {"output"}),
     "counter-that-folds": (counter_that_folds, {"counter_bits"}),
-    "words": (words, {"missing", "damaged_rows"}),
+    "words": (words, {"missing"}),
     "footer": (footer, {"damaged_rows"}),
     "sheets": (sheets, {"sheet"}),
     "decimal-or-thousands": (decimal_or_thousands, {"decimal"}),

@@ -6,7 +6,7 @@ Every guessed line has its reason and its alternatives. Every line of a repair i
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,12 +100,14 @@ def try_run_file(draft: RunFileDraft, path: Path) -> Run:
 def _without_damage(draft: RunFileDraft, path: Path, error: DataError) -> Run:
     """Read the log without a few damaged rows: words that mark missing values, or a footer. The draft says so."""
     why = f"{' '.join(error.message.split(': ', 1)[-1].split())[:200]}: left out and counted"
-    for change in _changes(error, draft.document, {}):
-        _, key, value, _ = change
-        run = _read(path, _changed(draft.document, change)) if key in ("missing", "damaged_rows") else error
-        if isinstance(run, Run) and run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
-            draft.put(f"data.{key}", value, why)
-            return run
+    for fix in error.fixes:
+        if fix.key in ("missing", "damaged_rows"):
+            trial = RunFileDraft(draft.document | {"data": draft.document["data"] | {fix.key: fix.value}})
+            with suppress(PigaError), np.errstate(divide="ignore", invalid="ignore"):
+                run = read_run(path, content=trial.text().encode())
+                if run.quality.rows - run.size <= max(_MOST_DAMAGED * run.quality.rows, 2):
+                    draft.put(f"data.{fix.key}", fix.value, why)
+                    return run
     raise error
 
 
@@ -159,9 +161,6 @@ def _optional(draft: RunFileDraft, log: LogDescription) -> None:
 
 # -- repairs ---------------------------------------------------------------------------------------------
 
-_PROBLEMS = 8
-"""Most problems that are solved one after the other."""
-
 
 @dataclass(frozen=True)
 class Suggestion:
@@ -172,78 +171,45 @@ class Suggestion:
     reason: str
 
 
-Document = Mapping[str, Any]
-Change = tuple[str, str, Any, str]
-"""Table, key, value and reason of a change of the run file."""
-
-
 def suggestions(path: Path, content: bytes | None = None) -> list[Suggestion]:
-    """Lines with which a refused log can be read. Every line was put into the file, and the log was read again.
+    """Lines with which a refused log can be read: those of a new draft that are needed.
 
-    A line that leads to another problem is kept if further lines solve that one. If only one of several lines lets the
-    log be read, the others are left out. The list is empty if no lines let the log be read. ``content`` is the text of a
-    file that is not on disk.
+    They were put into the file, and the log was read again: with all of them, and without each. The list is empty if they do
+    not let the log be read. ``content`` is the text of a file that is not on disk.
     """
     try:
-        document: Document = toml_document(path, content)
+        document = toml_document(path, content)
         log = path.parent / document["data"]["file"]
-    except (PigaError, KeyError, TypeError):
+        if _reads(path, document):
+            return []
+        tables = {table: document.get(table, {}) for table in ("instrument", "stand")}
+        given = {f"{table}.{key}": value for table, part in tables.items() for key, value in part.items()}
+        draft = draft_run_file(describe_log(log), given, folder=path.parent)
+        with suppress(PigaError):
+            try_run_file(draft, path)
+    except (PigaError, KeyError, TypeError, AttributeError):
         return []
-    fresh: Document = {}
-    with suppress(PigaError):  # a log that cannot be described
-        fresh = draft_run_file(describe_log(log)).document
-    kept: list[Change] = []
-    for _ in range(_PROBLEMS):
-        before = _read(path, document)
-        if isinstance(before, Run):
-            lines = ((table, f"{toml_key(key)} = {toml_value(value)}", why) for table, key, value, why in kept)
-            return [Suggestion(*line) for line in lines]
-        changes = _changes(before, document, fresh)
-        tried = [(change, _read(path, _changed(document, change))) for change in changes if change not in kept]
-        new = [change for change, after in tried if isinstance(after, Run)] or [
-            change for change, after in tried if _problem(after) != _problem(before) and change[1] != "sheet"
-        ]
-        if not new:
-            break
-        kept += new
-        document = _changed(document, new[0])
-    return []
+    fresh = ((table, *entry) for table in ("instrument", "data") for entry in draft.document[table].items())
+    changes = [one for one in fresh if document.get(one[0], {}).get(one[1]) != one[2]]
+    if not _reads(path, document, changes):
+        return []
+    for change in tuple(changes):
+        fewer = [one for one in changes if one is not change]
+        changes = fewer if _reads(path, document, fewer) else changes
+    lines = []
+    for table, key, value in changes:
+        reason = f"as a new run file has it: {draft.comments.get(f'{table}.{key}', [''])[0]}"
+        lines.append(Suggestion(table, f"{toml_key(key)} = {toml_value(value)}", reason))
+    return lines
 
 
-def _read(path: Path, document: Document) -> Run | PigaError:
+def _reads(path: Path, document: dict[str, Any], changes: Iterable[tuple[str, str, Any]] = ()) -> bool:
+    """True if the log can be read with these changes of the run file: table, key and value."""
+    for table, key, value in changes:
+        document = {**document, table: {**document.get(table, {}), key: value}}
     try:
         with np.errstate(divide="ignore", invalid="ignore"):
-            return read_run(path, content=toml_text(document).encode())
-    except PigaError as error:
-        return error
-
-
-def _problem(outcome: Run | PigaError) -> str:
-    """The message of an error without the columns, whose letters depend on the encoding."""
-    return outcome.message.partition("; the columns are")[0] if isinstance(outcome, PigaError) else ""
-
-
-def _changed(document: Document, change: Change) -> dict[str, Any]:
-    table, key, value, _ = change
-    return {**document, table: {**document.get(table, {}), key: value}}
-
-
-def _changes(error: PigaError, document: Document, fresh: Document) -> list[Change]:
-    """The keys that an error names, with their values; else as a ``fresh`` draft has them, as the keys of a missing column."""
-    first = error.message.split(": ", 1)[-1][:160]
-    reasons = {"sheet": "one of the sheets", "counter_bits": "if the counter wraps at that width"}
-    words = document.get("data", {}).get("missing", [])
-    changes = []
-    for fix in error.fixes:
-        value = fresh.get(fix.table, {}).get(fix.key) if fix.value is None else fix.value
-        value = [*words, *value] if fix.key == "missing" else value
-        change = (fix.table, fix.key, value, reasons.get(fix.key, first))
-        if value is not None and change not in changes:
-            changes.append(change)
-    missing = error.where.columns if error.columns and error.where is not None else ()
-    for key, value in document["data"].items():
-        names = [name for name in missing if toml_value(name) in toml_value(value)]
-        if names and key in fresh.get("data", {}) and key not in ("file", "missing"):
-            reason = ", ".join(f"instead of '{name}', which is not in the file" for name in names)
-            changes.append(("data", key, fresh["data"][key], reason))
-    return changes
+            read_run(path, content=toml_text(document).encode())
+    except PigaError:
+        return False
+    return True
