@@ -150,8 +150,7 @@ def prepare_run(
 def _report(calibration: Calibration, record: RecordDocument) -> DraftFile:
     """The report of a record, with its place in the chain."""
     from piga.reports.calibration.page import page as calibration_page
-    from piga.reports.calibration.tables import facts_table
-    from piga.reports.render.page import Section, page_html
+    from piga.reports.render.page import Section, named_values, page_html
 
     lead = (
         "This report is part of a record that is never changed. The head below vouches for every record before it: "
@@ -168,7 +167,7 @@ def _report(calibration: Calibration, record: RecordDocument) -> DraftFile:
     rows += [("Measured", record.measured)] if record.measured else []
     rows += [("Supersedes", record.supersedes)] if record.supersedes else []
     page = calibration_page(calibration)
-    section = Section("Record", "record", (lead, facts_table(rows, code=True)))
+    section = Section("Record", "record", (lead, named_values("Item", "Value", rows, code=True)))
     footer = f"Record {record.id}, number {record.number}, after head {record.after}. {page.footer}"
     html = page_html(replace(page, sections=(*page.sections, section), footer=footer))
     return DraftFile("report", _PAGE, html.encode())

@@ -287,17 +287,13 @@ def _tiles(outline: CompensationOutline) -> tuple[Tile, ...]:
 
 
 def _misfit(outline: CompensationOutline, names: Sequence[str]) -> Section:
-    faults = int(np.count_nonzero(outline.result.flagged("fault")))
-    content: tuple[Content, ...]
-    if not outline.redundant:
-        text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
-        content = (Notice("info", text),)
-    elif faults:
-        words = f"{count(faults)} rows contradict themselves beyond the uncertainties (flag fault)."
-        content = (Notice("warning", words), misfit_figure(outline, names))
-    else:
-        words = "No row contradicts itself beyond the uncertainties of the calibrations."
-        content = (Notice("good", words), misfit_figure(outline, names))
+    text = "Three instruments fit any force exactly: nothing is left over that could contradict it."
+    content: tuple[Content, ...] = (Notice("info", text),)
+    if outline.redundant:
+        faults = int(np.count_nonzero(outline.result.flagged("fault")))
+        rows = f"{count(faults)} rows contradict themselves" if faults else "No row contradicts itself"
+        words = f"{rows} beyond the uncertainties of the calibrations (flag fault)."
+        content = (Notice("warning" if faults else "good", words), misfit_figure(outline, names))
     return Section("Instruments against each other", "misfit", content)
 
 

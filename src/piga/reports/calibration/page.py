@@ -20,7 +20,7 @@ from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.calibration.diagnostics import COUNTED, Residuals
 from piga.records.terms import shown_unit
 from piga.reports.calibration import tables
-from piga.reports.calibration.tables import facts_table, residual_quantity, scale_factor
+from piga.reports.calibration.tables import residual_quantity, scale_factor
 from piga.reports.noise import draw_deviations
 from piga.reports.render.figure import Axis, Figure, Plot, Role, envelope_rows
 from piga.reports.render.numbers import count, duration, pretty_unit, relative, rounded, short, shown_output
@@ -34,6 +34,7 @@ from piga.reports.render.page import (
     Tile,
     Tone,
     introduced,
+    named_values,
     sections,
 )
 from piga.results import Array, in_words
@@ -97,7 +98,7 @@ def brief(cal: Calibration) -> Page:
     drawn = cal.residuals is not None and cal.residuals.t.size > 0 and not cal.runs
     shown = sections(
         coefficients,
-        Section("", "noise", (facts_table(_noise(cal)),)),
+        Section("", "noise", (named_values("Item", "Value", _noise(cal)),)),
         Section("Runs", "runs", (tables.runs_table(cal) if cal.runs else None,)),
         Section("Data", "quality", (tables.quality_table(cal.quality) if cal.quality.events else None,)),
         Section("Uncertainty budget", "budget", tables.budget_tables(cal) if sources else ()),
@@ -132,8 +133,6 @@ def _subtitle(cal: Calibration) -> str:
     runs = f"{len(cal.runs)} runs, " if cal.runs else ""
     parts = "one segment" if len(cal.segments) == 1 else f"{len(cal.segments)} segments"
     seconds = math.fsum(segment.duration for segment in cal.segments)
-    if not cal.segments and cal.residuals is not None and cal.residuals.t.size:
-        seconds = float(elapsed_time(outline(cal.residuals))[-1])
     phases = "" if cal.direct else f", phases {cal.phases}"
     return (
         f"{', '.join(data) or 'a record in memory'}: {runs}{parts}, {duration(seconds)}, "
@@ -194,11 +193,12 @@ def _coefficient_tiles(cal: Calibration) -> list[Tile]:
 def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]:
     if cal.given:
         return _coefficients(cal), _provenance(cal)
+    turned = tuple(shown[name] for name in ("orders", "ripple") if name in shown)
     return sections(
         Section("Runs", "runs", (_RUNS, tables.runs_table(cal) if cal.runs else None)),
         _coefficients(cal),
         Section("Residuals against time", "residuals", (shown.get("residuals", _MISSING),)),
-        *([] if cal.direct else [Section("Residuals against rotation", "rotation", _rotation(shown))]),
+        *([] if cal.direct else [Section("Residuals against rotation", "rotation", turned or (_NO_TURN,))]),
         Section("Segments", "segments", (shown.get("segments"), shown.get("creep"), tables.segment_table(cal))),
         _budget(cal),
         _identifiability(cal, shown),
@@ -212,6 +212,9 @@ _RUNS = (
     "The runs that were calibrated together, each weighted by its own noise. What one of them cannot separate, "
     "the others must."
 )
+_NO_TURN = Notice(
+    "info", "No segment with residuals turns at least twice, so no revolution order can be told from drift."
+)
 _MISSING = Notice("info", "The residuals are not part of this record: run the calibration again to see them.")
 
 
@@ -223,12 +226,6 @@ def _coefficients(cal: Calibration) -> Section:
     text = "Correlation of the estimates. Good: inside ±0.9; beyond, the record trades one for the other."
     correlation = introduced(text, tables.correlation_table(cal))
     return Section("Coefficients", "coefficients", (lead, tables.coefficient_table(cal), *correlation))
-
-
-def _rotation(shown: dict[str, Figure]) -> tuple[Content, ...]:
-    text = "No segment with residuals turns at least twice, so no revolution order can be told from drift."
-    drawn = tuple(shown[name] for name in ("orders", "ripple") if name in shown)
-    return drawn or (Notice("info", text),)
 
 
 def _budget(cal: Calibration) -> Section:
@@ -276,7 +273,7 @@ def _identifiability(cal: Calibration, shown: dict[str, Figure]) -> Section:
         *(Notice("info", f"{tables.sentence(remark)}.") for remark in cal.remarks),
         shown.get("whiteness"),
         shown.get("allan"),
-        facts_table([("Condition number", short(cal.condition)), *_noise(cal), *_tests(cal)]),
+        named_values("Item", "Value", [("Condition number", short(cal.condition)), *_noise(cal), *_tests(cal)]),
         *introduced(leverage, *tables.leverage_tables(cal)),
         *introduced(propagation, *tables.propagation_tables(cal)),
     )
@@ -330,7 +327,7 @@ def _quality(cal: Calibration) -> Section:
         "none is formed across a jump."
     )
     left_out = (text, tables.outlier_table(cal)) if cal.outliers else ()
-    return Section("Data quality", "quality", (lead, facts_table(rows), found, *left_out))
+    return Section("Data quality", "quality", (lead, named_values("Item", "Value", rows), found, *left_out))
 
 
 def _provenance(cal: Calibration) -> Section:
@@ -340,7 +337,7 @@ def _provenance(cal: Calibration) -> Section:
     rows += [("Software", made.software), ("Created", made.created)]
     rows += [] if cal.direct or cal.given else [("Phase source", cal.phase_source)]
     rows += [(f"Option {name.replace('_', ' ')}", in_words(value)) for name, value in made.options.items()]
-    return Section("Provenance", "provenance", (lead, facts_table(rows, code=True)))
+    return Section("Provenance", "provenance", (lead, named_values("Item", "Value", rows, code=True)))
 
 
 def outline(residuals: Residuals) -> Residuals:

@@ -25,7 +25,7 @@ from piga.reports.render.numbers import (
     shown_output,
     signed,
 )
-from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone, named_values
+from piga.reports.render.page import Cell, Item, Judgement, Section, Table, TableOf, Text, Tone
 from piga.units import ARCSEC, G0
 
 _SEGMENTS, _OUTLIERS, _LEVERAGE, _COEFFICIENTS = 60, 30, 24, 14
@@ -288,11 +288,6 @@ def quality_table(quality: Quality) -> Table:
     )
 
 
-def facts_table(rows: list[tuple[str, str]], *, code: bool = False) -> Table:
-    """Table of two columns: name and value."""
-    return named_values("Item", "Value", rows, code=code)
-
-
 _ALONE, _SHIFT = 0.9, 3.0
 
 
@@ -358,14 +353,10 @@ DESCRIBED = 5
 """Columns of the budget that describe a source: name, type, distribution, standard uncertainty, degrees of freedom."""
 
 
-def _combined(cal: Calibration, coefficient: Coefficient) -> float:
-    return math.hypot(*(source.contribution(coefficient) for source in cal.budget))
-
-
 def budget_table(cal: Calibration) -> Table:
     """Uncertainty budget: one row per source, one column per coefficient, combined at the end."""
     coefficients = _shown_coefficients(cal)
-    total = {c.key: _combined(cal, c) for c in coefficients}
+    total = {c.key: math.hypot(*(row.contribution(c) for row in cal.budget)) for c in coefficients}
     table = (
         TableOf(cal.budget)
         .text("Source", lambda row: row.source)
