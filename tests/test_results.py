@@ -150,8 +150,6 @@ def test_a_figure_is_drawn_on_given_axes(cal, run):
 def test_a_figure_without_data_is_refused(cal, alone):
     with pytest.raises(piga.CalibrationError, match="no data for the figure"):
         alone.plot.residuals()
-    with pytest.raises(piga.CalibrationError, match="no data for the figure"):
-        cal.plot.creep()
     assert labelled(alone.plot.segments())
 
 

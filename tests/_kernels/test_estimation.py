@@ -92,8 +92,10 @@ FORCE_TERMS = {
 def test_force_terms_are_integrated_exactly(name: str, ends: tuple[float, float]) -> None:
     force = np.array([ends, (0.4, -1.1), (2.0, 2.5)])
     t, temperature, h = np.array([3.0, 3.2]), np.array([-4.0, 5.0]), np.array([0.2])
-    out = np.empty(1)
-    product_column(PRODUCTS[name], t, force, temperature, h, out, 2.0 * temperature)
+    out, inputs = np.empty(1), dict(zip("xyztTv", (*force, t, temperature, 2.0 * temperature), strict=True))
+    product_column(
+        PRODUCTS[name], inputs, {name: own.mean(keepdims=True) for name, own in inputs.items()}, h, out
+    )
 
     def integrand(s: float) -> float:
         x, y, z = force[:, 0] + s * np.diff(force, axis=1)[:, 0]

@@ -9,9 +9,10 @@ import pytest
 from scipy.stats import binom, norm
 from scipy.stats import t as student
 
-from piga.calibration.intervals import LeverageError, Repetition, find_interval, sandwich
+from piga.calibration.intervals import LeverageError, Repetition, find_interval, scatter_of
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import Estimate, Layout, solve_parts
+from tests.calibration.made.synthetic import layout_of
 
 
 def triangles(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
@@ -23,7 +24,7 @@ def triangles(x: np.ndarray, y: np.ndarray) -> list[np.ndarray]:
 def test_a_mean_has_the_scatter_of_its_values() -> None:
     """Equal positions and one parameter: standard deviation over root of n, and n - 1 degrees of freedom."""
     y = np.random.default_rng(1).standard_normal(9)
-    u, degrees = sandwich(triangles(np.ones((9, 1)), y), None, [])
+    u, degrees, _ = scatter_of(triangles(np.ones((9, 1)), y))
     assert u[0] == pytest.approx(y.std(ddof=1) / 3.0, rel=1e-12)
     assert degrees[0] == pytest.approx(8.0, rel=1e-9)
 
@@ -40,7 +41,7 @@ def test_intervals_hold_for_noise_that_the_weights_do_not_know(noise: str) -> No
     for _ in range(tests):
         y = rng.permutation(size) * rng.standard_normal(12)
         error = np.linalg.lstsq(x, y)[0]
-        u, degrees = sandwich(triangles(x, y), None, [])
+        u, degrees, _ = scatter_of(triangles(x, y))
         held += np.abs(error) <= student.ppf(0.975, degrees) * u
         spread = np.sqrt(((y - x @ error) ** 2).sum() / 8.0)
         plain += np.abs(error) <= norm.ppf(0.975) * spread * known
@@ -63,7 +64,7 @@ def plan(order: Sequence[int], excess: float, seed: int) -> tuple[Layout, Estima
         part = Reduction.of_rows((*names, "rate"), np.column_stack([rate, np.ones(50), y]), 50)
         repetitions.append(Repetition(part, 0, 0.0, f"p{index}", 65.0 * index, 65.0 * index + 60.0))
         parts.append(part.select(names))
-    layout = Layout.of_one(False, (), names)
+    layout = layout_of(False, (), names)
     return layout, solve_parts(layout, [Reduction.stacked(parts)]), repetitions
 
 
@@ -88,7 +89,7 @@ def test_without_an_excess_nothing_grows() -> None:
 def test_a_position_that_alone_determines_a_coefficient_is_named() -> None:
     layout, _, repetitions = plan(range(24), 1.0, 6)
     names = (*layout.columns, "k0_T", "rate")
-    layout = Layout.of_one(False, (), names[:-1])
+    layout = layout_of(False, (), names[:-1])
     wider = []
     for index, repetition in enumerate(repetitions):
         rows = np.insert(repetition.part.factor, 4, 0.0, axis=1)
@@ -104,7 +105,7 @@ def test_a_position_that_alone_determines_a_coefficient_is_named() -> None:
 def test_runs_that_scatter_more_than_their_positions_widen() -> None:
     """Six runs whose bias differs by much more than their positions: u is that of six values, with five degrees."""
     rng = np.random.default_rng(8)
-    layout = Layout.of_one(False, (), ("k0",))
+    layout = layout_of(False, (), ("k0",))
     repetitions, offsets = [], 10.0 * rng.standard_normal(6)
     for run, offset in enumerate(offsets):
         for index in range(8):

@@ -14,7 +14,7 @@ import piga
 from piga.calibration import term_prospects
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import make_request
-from piga.calibration.weights import Noise, weighted_blocks
+from piga.calibration.weights import Noise, Whitener
 from piga.records.terms import UNITS
 from piga.reports.check import check_document, prospects_table
 from tests.calibration.made.scenarios import COUPLED
@@ -43,8 +43,8 @@ def compared(run: piga.Run):
 def weighted_rows(run: piga.Run, terms, noise: Noise):
     """Whitened rows of a set by its own design: (n, m), (n,)."""
     design = Design(run, make_request(run, terms, "information", "shared"), run.scale_factor)
-    blocks = list(weighted_blocks(design, "increments", noise))
-    x = np.hstack([columns[:, block.h > 0.0] for block, columns in blocks])
+    whitener = Whitener("increments", noise, len(design.names) + 1)
+    x = np.hstack([whitener.apply(b.columns, b.h)[:, b.h > 0.0] for b in design.blocks()])
     return x[:-1].T, x[-1]
 
 

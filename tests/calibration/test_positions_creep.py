@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 import piga
-from piga.reports.calibration.page import creep_figure
 from tests.calibration.made.independent import Bench, head
 from tests.calibration.made.servo_data import known_noise
 from tests.calibration.made.synthetic import at_rest
@@ -137,14 +136,3 @@ def test_few_positions_are_not_tested():
     result = quiet(bench.record(1))
     assert result.diagnostics.creep is None
     assert any("creep" in words for words in result.verdict.not_tested)
-
-
-def test_creep_is_kept_and_drawn(crept, tmp_path):
-    crept.to_json(tmp_path / "calibration.json")
-    back = piga.Calibration.from_json(tmp_path / "calibration.json")
-    (panel,) = creep_figure(back).panels
-    band, mean = panel.series
-    outside = np.abs(mean.y) > np.asarray(band.upper)
-    assert outside[:2].all()
-    assert np.asarray(mean.y)[0] == pytest.approx(35.2, abs=5.0)
-    assert outside[16:].mean() < 0.3

@@ -13,7 +13,7 @@ from piga.calibration.fit import Fit
 from piga.calibration.joint import JointFit, fit_alone, sources_of_stand, with_all_sources
 from piga.calibration.model.design import given_servo
 from piga.calibration.model.request import make_request
-from piga.calibration.sources import sources, with_units
+from piga.calibration.sources import units_of
 from piga.calibration.summary import MergedRuns
 from piga.calibration.weights import reduce_positions
 from piga.progress import SILENT
@@ -41,18 +41,18 @@ def check_effects(run: Run, terms: str, phases: str) -> Fit:
 
     def estimate(moved: Run) -> np.ndarray:
         design = fit.design.of(moved)
-        triangles = RunSummary.of_rows(design, fit.noise, reduce_positions(design, fit.mode, fit.noise))
+        triangles = RunSummary.of_rows(design, fit.noise, reduce_positions(design, fit.noise))
         runs = MergedRuns.of([triangles], fit.runs.terms)
         found = runs.solved()[1]
         return np.array([c.value for c in runs.named(found, found.covariance)[0]])
 
-    units = with_units(fit.design.run)
-    moves = zip(sources(units, 1.0), sources(units, -1.0), strict=True)
+    moves = zip(units_of(fit.design.run), units_of(fit.design.run, -1.0), strict=True)
     expected = {
-        plus.name: 0.5 * changes(named, estimate(minus.moved), estimate(plus.moved)) for plus, minus in moves
+        plus.summary.name: 0.5 * changes(named, estimate(minus.moved), estimate(plus.moved))
+        for plus, minus in moves
     }
     effects = {name: change for source in sources_of_stand(whole) for name, change in source.effects.items()}
-    assert effects.keys() == {name for name in expected if not name.startswith("servo ")}
+    assert effects.keys() == expected.keys() - {"servo"}
     for name, moved in effects.items():
         for c, change in zip(named, expected[name], strict=True):
             difference = moved.get(c.key, 0.0) - change

@@ -13,9 +13,9 @@ import pytest
 
 import piga
 from piga._kernels.compensation.terms import near_nyquist
-from piga._kernels.estimation import product_column
+from piga._kernels.estimation import product_at
 from piga.calibration import missing_terms
-from piga.calibration.intervals import sandwich
+from piga.calibration.intervals import scatter_of
 from piga.calibration.model.reduction import triangle
 from piga.instrument.parameters import ErrorModel
 from piga.instrument.twin import TwinParameters, servo_terms
@@ -67,11 +67,8 @@ def test_terms_model() -> None:
 
 
 def squares(v: np.ndarray) -> np.ndarray:
-    """Column of ``k2v`` over intervals of one second in which ``v`` does not change."""
-    ends, column = np.repeat(v, 2), np.empty(2 * v.size - 1)
-    none = np.zeros((3, ends.size))
-    product_column(PRODUCTS["k2v"], none[0], none, none[0], np.ones(column.size), column, ends)
-    return column[::2]
+    """Column of ``k2v`` of a rate log."""
+    return product_at(PRODUCTS["k2v"], {"x": v, "v": v})
 
 
 def test_calibration_added_variable() -> None:
@@ -110,7 +107,7 @@ def test_calibration_scatter() -> None:
         literal_u.append(np.sqrt((c @ L) @ (c @ L) * (w @ z**2) / (w @ variance)))
         literal_nu.append((w @ variance) ** 2 / (w @ P**2 @ w))
     parts = [triangle(np.column_stack([part[:, :3], part[:, 3] - part[:, :3] @ theta])) for part in rows]
-    u, nu = sandwich(parts, None, [])
+    u, nu, _ = scatter_of(parts)
     assert literal_u == pytest.approx(u, abs=1e-10)
     assert literal_nu == pytest.approx(nu, abs=1e-9)
 

@@ -3,7 +3,6 @@
 Regressors are integrals of the error-model terms over each sample interval.
 All inputs are linear between samples. The curvature of a smooth input, its bow (:func:`smooth_bows`), is added to first order.
 Row ``i`` of a block is the interval from sample ``lo + i`` to ``lo + i + 1``. Rows that begin a stretch are written as zeros.
-With ``step = 0`` the regressors are evaluated at the samples themselves (for rate logs).
 
 Noise of angle increments is whitened as a first-order moving average.
 An output angle has white angle noise (variance r) and angle random walk (q per second). The noise of its increment
@@ -18,7 +17,7 @@ Samples that do not lie on the path of the output are told by one pass with two 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +29,6 @@ from piga._kernels.arithmetic import (
 )
 from piga._kernels.jit import Array, kernel
 from piga.terms import Factor
-
-NONE = np.empty(0)
-"""No column."""
 
 
 @kernel
@@ -94,65 +90,39 @@ def coupling_columns(
         )
 
 
+def product_at(factors: tuple[Factor, ...], inputs: Mapping[str, Array]) -> Array:
+    """Product of inputs (n,) by name, ``factors`` as in :data:`piga.terms.PRODUCTS`."""
+    result = np.ones_like(inputs["x"])
+    for factor in factors:
+        result *= np.abs(inputs["x"]) if factor == "|x|" else inputs[factor]
+    return result
+
+
 def product_column(
     factors: tuple[Factor, ...],
-    t: Array,
-    f: Array,
-    temperature: Array,
+    samples: Mapping[str, Array],
+    middles: Mapping[str, Array],
     h: Array,
     out: Array,
-    vibration: Array = NONE,
 ) -> None:
-    """Integral of a product of inputs over each interval, exact for linear inputs.
+    """Integral of a product of inputs over each interval by Simpson's rule: exact for linear inputs, bows to first order.
 
-    ``factors`` as in :data:`piga.terms.PRODUCTS`: none, one, two, ``|x|``, ``x|x|`` or ``xxx``. ``f`` has shape (3, n + 1);
-    ``t`` and ``temperature`` are relative to their references.
+    ``samples`` (n + 1,) are the inputs at the samples, ``middles`` (n,) in the middle of the intervals. Where ``|x|`` has its
+    kink in an interval, both sides of it are integrated.
     """
-    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature, "v": vibration}
-    if not factors:
-        out[:] = 1.0
-    elif factors in _MEANS:
-        out[:] = _MEANS[factors](f[0, :-1], f[0, 1:])
-    elif len(factors) == 1:
-        a = inputs[factors[0]]
-        np.add(a[:-1], a[1:], out=out)
-        out *= 0.5
-    elif len(factors) > 2:
-        raise NotImplementedError(f"a column of the product {' '.join(factors)}")
-    else:
-        a, b = (inputs[factor] for factor in factors)
-        np.multiply(a[:-1], 2.0 * b[:-1] + b[1:], out=out)
-        out += a[1:] * (2.0 * b[1:] + b[:-1])
-        out /= 6.0
+    ends = product_at(factors, samples)
+    out[:] = product_at(factors, middles)
+    out *= 4.0
+    out += ends[:-1]
+    out += ends[1:]
+    out /= 6.0
+    if "|x|" in factors:
+        x = samples["x"]
+        kinked = x[:-1] * x[1:] < 0.0
+        share = np.where(kinked, x[:-1] / np.where(kinked, x[:-1] - x[1:], 1.0), 0.0)
+        both = (share * ends[:-1] + (1.0 - share) * ends[1:]) / (1.0 + len(factors))
+        out[kinked] = both[kinked]
     out *= h
-
-
-def _cube_mean(a: Array, b: Array) -> Array:
-    """Mean of ``x^3`` while x goes linearly from a to b."""
-    return np.asarray(0.25 * (a + b) * (a * a + b * b))
-
-
-def _odd_square_mean(a: Array, b: Array) -> Array:
-    """Mean of ``x|x|`` while x goes linearly from a to b."""
-    crossing = a * b < 0.0
-    length = np.where(crossing, b - a, 1.0)
-    across = (np.abs(b) ** 3 - np.abs(a) ** 3) / (3.0 * length)
-    return np.where(crossing, across, np.copysign((a * a + a * b + b * b) / 3.0, a + b))
-
-
-def _size_mean(a: Array, b: Array) -> Array:
-    """Mean of ``|x|`` while x goes linearly from a to b."""
-    crossing = a * b < 0.0
-    across = (a * a + b * b) / (2.0 * np.where(crossing, np.abs(b - a), 1.0))
-    return np.where(crossing, across, 0.5 * np.abs(a + b))
-
-
-_MEANS: dict[tuple[Factor, ...], Callable[[Array, Array], Array]] = {
-    ("|x|",): _size_mean,
-    ("x", "|x|"): _odd_square_mean,
-    ("x", "x", "x"): _cube_mean,
-}
-"""Mean of a product of powers of ``a_x`` while it goes linearly from one value to another."""
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -209,25 +179,6 @@ def smooth_bows(x: Array, h: Array, before: Array, after: Array, share: Array, b
             out[i] = bow_inside(h[i], share_at_end(h[i], h[i - 1], h[i - 2]), bend[i], bend[i - 1])
         elif followed and i < n - 2 and h[i + 2] != 0.0:
             out[i] = bow_inside(h[i], share_at_end(h[i], h[i + 1], h[i + 2]), bend[i + 1], bend[i + 2])
-
-
-def add_product_bows(
-    factors: tuple[Factor, ...], t: Array, f: Array, bows: Array, temperature: Array, h: Array, out: Array
-) -> None:
-    """Add the effect of the force bows (3, n) to a column of :func:`product_column`, to first order."""
-    inputs = {"x": f[0], "y": f[1], "z": f[2], "t": t, "T": temperature}
-    bow = dict(zip("xyz", bows, strict=False))
-    if factors in _MEANS:
-        x = 0.5 * (f[0, :-1] + f[0, 1:])
-        slope = {1: np.sign(x), 2: 2.0 * np.abs(x), 3: 3.0 * x * x}[len(factors)]
-        out += h * bows[0] * slope
-    elif len(factors) == 1 and factors[0] in bow:
-        out += h * bow[factors[0]]
-    elif len(factors) == 2:
-        for one, other in (factors, factors[::-1]):
-            if one in bow:
-                a = inputs[other]
-                out += h * bow[one] * (0.5 * (a[:-1] + a[1:]))
 
 
 # -- noise of angle increments ----------------------------------------------------------------------------

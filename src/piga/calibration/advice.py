@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from piga.calibration.fit import stretch_angles
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request, phase_angle
 from piga.calibration.model.solution import least_squares
+from piga.calibration.residuals import stretch_angles
 from piga.errors import DataError, PigaError
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.diagnostics import scale_over_nominal
@@ -51,8 +51,6 @@ _LONGEST_STEP = 64
 
 
 AXES = ("X0", "Y0", "Z0")
-_ARRAYS = {"reference": "f (wanted in m/s^2)", "time": "t (wanted in s)"}
-"""Arguments of ``Run.from_arrays`` by the key of ``[data]``."""
 _PLACES = ("first", "second", "third")
 
 
@@ -117,17 +115,12 @@ def _unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> 
     larger, size = ratio > 1.0, f"{factor.value:.6g}"
     mixed = [(key, factor.mixed[key]) for key in ("reference", "time") if key in factor.mixed]
     times = f"{'multiplied' if larger else 'divided'} by {size}"
+    places = [f"f (wanted in m/s^2), t (wanted in s), output (wanted in {run.output_unit})"]
     if run.source:
         places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
         if output and ("output" in factor.mixed or factor.value in _OF_COUNTS):
             places.append(_output_unit(run, factor.value, larger=not larger))
-        places.append(f"[instrument] scale_factor {times}")
-    else:
-        places = [f"{_ARRAYS[key]} {times}" for key, _ in mixed]
-        if output and "output" in factor.mixed:
-            unit = run.output_unit
-            places.append(f"output (wanted in {unit}) {'divided' if larger else 'multiplied'} by {size}")
-        places.append(f"scale_factor {times}")
+    places.append(f"{'[instrument] ' if run.source else ''}scale_factor {times}")
     return (
         f"the scale factor comes out {ratio:.4g} times the nominal one, near the factor {size} of "
         f"mixed-up units: check {', or '.join(places)}; not applied"

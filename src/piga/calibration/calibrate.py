@@ -5,22 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import accumulate
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from piga._version import __version__
 from piga.calibration.advice import advise, looks_wrong, with_advice
-from piga.calibration.fit import (
-    diagnose,
-    find_residuals,
-    is_rounded,
-    residual_figures,
-    segment_scatter,
-    segment_table,
-)
 from piga.calibration.joint import (
     JointFit,
     check_items,
@@ -42,13 +33,22 @@ from piga.calibration.missing_terms import (
     suggestions_in_words,
 )
 from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
-from piga.calibration.model.request import Request, make_request
+from piga.calibration.model.request import make_request
 from piga.calibration.model_choice import compare_models
-from piga.calibration.orders import residual_angles
 from piga.calibration.positions import find_creep, find_leverage
+from piga.calibration.residuals import (
+    diagnose,
+    find_residuals,
+    is_rounded,
+    residual_angles,
+    residual_figures,
+    segment_scatter,
+    segment_table,
+)
 from piga.calibration.sources import gravity_in_words
 from piga.calibration.summary import RunSummary
 from piga.calibration.uncertainty import Budget, add_up, monte_carlo_intervals, with_given_servo
+from piga.calibration.weights import Positions
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.records.calibration.calibration import Calibration, Provenance, RunRecord
@@ -136,19 +136,15 @@ def calibrate(
             result = _calibration(fit_jointly(runs, wanted, phases or phase, own, steps), steps)
         else:
             request = make_request(runs[0], wanted, method, phases or phase, phase_source, own)
-            result = _calibration(_fitted(runs[0], request, steps), steps)
+            try:
+                fit = fit_alone(runs[0], request, steps)
+            except (IdentifiabilityError, DataError) as error:  # other axes, signs or units may fit far better
+                raise with_advice(error, advise(runs[0], request)) from None
+            result = _calibration(fit, steps)
     steps.finish()
     for doubt in result.verdict.doubts:
         warnings.warn(doubt.words, CalibrationWarning, stacklevel=2)
     return result
-
-
-def _fitted(run: Run, request: Request, steps: Steps) -> JointFit:
-    """The fit of one run; if it is refused, and other axes, signs or units fit far better, the remedy says so."""
-    try:
-        return fit_alone(run, request, steps)
-    except (IdentifiabilityError, DataError) as error:
-        raise with_advice(error, advise(run, request)) from None
 
 
 def _calibration(fit: JointFit, steps: Steps) -> Calibration:
@@ -169,24 +165,22 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     return with_given_servo(result, *given_servo_of(fit))
 
 
-@dataclass(frozen=True)
-class _Part:
-    """What the result says of a run: its record and segments; with raw data its residuals under the estimate, too."""
+def _part_of(
+    fit: JointFit, index: int, kind: str
+) -> tuple[RunRecord, tuple[SegmentSummary, ...], Residuals | None, SegmentScatter]:
+    """What the result says of a run: its record and segments; with raw data its residuals under the estimate, too.
 
-    record: RunRecord
-    segments: tuple[SegmentSummary, ...]
-    residuals: Residuals | None
-    scatter: SegmentScatter
-
-
-def _part_of(fit: JointFit, index: int, kind: str) -> _Part:
-    """The part of a run. Residual rates become angles if runs of both kinds are joined (``kind`` is that of all residuals)."""
+    Residual rates become angles if runs of both kinds are joined (``kind`` is that of all residuals).
+    """
     summary, live = fit.summaries[index], fit.live[index]
     segments, figures, residuals, scatter = summary.segments, summary.figures, None, SegmentScatter()
     if live:
         design, values = fit.design_of(index, live)
-        residuals = find_residuals(design, values, live.noise, live.mode)
-        scatter = segment_scatter(design, residuals, live.noise)
+        residuals = find_residuals(design, values, live.noise)
+        if not design.point:
+            positions = fit.positions(index, fit.estimate)
+            each = values[Positions.of(live.run).segments]
+            scatter = segment_scatter(positions, each, live.noise, live.run)
         if summary.kind != kind:
             residuals = residual_angles(residuals, "rate")
         segments, figures = segment_table(design, residuals), residual_figures(residuals)
@@ -204,7 +198,7 @@ def _part_of(fit: JointFit, index: int, kind: str) -> _Part:
         undetermined=summary.undetermined,
         input_sha256=summary.input_sha256,
     )
-    return _Part(record, segments, residuals, scatter)
+    return record, segments, residuals, scatter
 
 
 def _result(
@@ -214,22 +208,22 @@ def _result(
     only, first, kinds = fit.only, fit.summaries[0], {summary.kind for summary in fit.summaries}
     kind = kinds.pop() if len(kinds) == 1 else "angle"
     parts = [_part_of(fit, index, kind) for index in range(len(fit.summaries))]
-    records = [part.record for part in parts]
+    records, segments, residuals, scatters = (list(column) for column in zip(*parts, strict=True))
     rows = [record.rows for record in records]
 
     def mean_square(name: str) -> float:
         return float(np.sqrt(np.average(np.square([getattr(r, name) for r in records]), weights=rows)))
 
     runs = [live.run for live in fit.live if live]
-    scatter = max((part.scatter for part in parts), key=lambda one: one.worst)
+    scatter = max(scatters, key=lambda one: one.worst)
     angle: Literal["angle", "count"] = "count" if first.unit != GYRO else "angle"
     tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges, **asdict(scatter))
-    innovations = [part.residuals.innovation for part in parts if part.residuals]
+    innovations = [own.innovation for own in residuals if own]
     if innovations:
         rounded = any(is_rounded(live.run, live.noise) for live in fit.live if live)
         tests = diagnose(innovations, tests, rounded=rounded)
     compared: Any = compare_models(only.run).document() if only and only.run.model.compare else None
-    named = [(f"{r.name}:" if not only else "", part.segments) for r, part in zip(records, parts, strict=True)]
+    named = [(f"{r.name}:" if not only else "", own) for r, own in zip(records, segments, strict=True)]
     return Calibration(
         serial=first.serial,
         scale_factor_nominal=first.scale_factor,
@@ -264,23 +258,20 @@ def _result(
         provenance=_provenance(fit),
         temperature_reference=first.temperature_reference,
         time_reference=first.time_reference,
-        residuals=parts[0].residuals if only else _joint_residuals(parts),
+        residuals=residuals[0] if only else _joint_residuals(residuals, [len(own) for own in segments]),
         runs=() if only else tuple(records),
         outliers=tuple(replace(o, run=s.name or None) for s in fit.summaries for o in s.outliers),
         unit=first.unit,
     )
 
 
-def _joint_residuals(parts: list[_Part]) -> Residuals | None:
-    """Residuals of all runs with raw data, one after the other."""
+def _joint_residuals(residuals: list[Residuals | None], segments: list[int]) -> Residuals | None:
+    """Residuals of all runs with raw data, one after the other. ``segments`` is the number of segments of each."""
     pieces: list[Residuals] = []
-    offset = 0
-    for index, part in enumerate(parts):
-        if part.residuals:
-            run = np.full(part.residuals.t.size, index, dtype=np.int32)
-            segment = part.residuals.segment + np.int32(offset)
-            pieces.append(replace(part.residuals, segment=segment, run=run))
-        offset += len(part.segments)
+    for index, own in enumerate(residuals):
+        if own:
+            run, offset = np.full(own.t.size, index, dtype=np.int32), np.int32(sum(segments[:index]))
+            pieces.append(replace(own, segment=own.segment + offset, run=run))
     if not pieces:
         return None
     names = ("row", "t", "psi", "a_x", "before", "after", "innovation", "segment", "run")
@@ -342,9 +333,9 @@ def _with_remarks(
     if only and looks_wrong(result):
         advice = advise(only.run, only.request, scale_over_nominal(result))
     missing = () if advice else suggest_terms(candidates, coefficients)
-    scattered = any(summary.noise.scatter > 0.0 for summary in fit.summaries)
-    suggested = _suggested(missing, doubts, coefficients, scattered=scattered)
-    said = [*((math.inf, words) for words in advice), *suggested] or [*moved]
+    said = [*((math.inf, words) for words in advice), *_suggested(fit, missing, doubts, coefficients)] or [
+        *moved
+    ]
     creep, words_of_creep = find_creep(fit, coefficients)
     if creep and words_of_creep and not advice:
         said.insert(0, (creep.largest_shift, words_of_creep))
@@ -358,18 +349,18 @@ def _with_remarks(
 
 
 def _suggested(
+    fit: JointFit,
     missing: tuple[MissingTerm, ...],
     doubts: tuple[LeftOut, ...],
     coefficients: tuple[Coefficient, ...],
-    *,
-    scattered: bool,
-) -> tuple[tuple[float, str], ...]:
-    """Sentences on missing terms and on signatures of the servo, each with the largest shift that it explains."""
+) -> Iterator[tuple[float, str]]:
+    """Sentences on signatures of the servo and on missing terms, each with the largest shift that it explains."""
+    scattered = any(summary.noise.scatter > 0.0 for summary in fit.summaries)
     also = "; the scatter of the segments may be the same effect" if scattered else ""
-    lacking = [(largest_shift(coefficients, one.change)[0], one.words) for one in doubts if one.words]
+    lacking = [one for one in doubts if one.words]
+    yield from ((largest_shift(coefficients, one.change)[0], one.words) for one in lacking)
     if lacking:
         missing = tuple(entry for entry in missing if not {*SERVO_TERMS, *CUBIC} & {*entry.terms})
-    words = suggestions_in_words(missing)
-    # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
-    shifts = list(accumulate(reversed([entry.largest_shift for entry in missing]), max))[::-1]
-    return (*lacking, *((shift, sentence + also) for shift, sentence in zip(shifts, words, strict=True)))
+    for index, sentence in enumerate(suggestions_in_words(missing)):
+        # a clearer signature is told with the weaker one that moves a coefficient: they may have one cause
+        yield max(entry.largest_shift for entry in missing[index:]), sentence + also

@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piga.calibration.model.reduction import Reduction, solve_upper, triangle
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import Estimate, Layout
 from piga.calibration.weights import rate_share
 from piga.errors import IdentifiabilityError
@@ -155,37 +154,50 @@ def without_rate(rows: Array, variance: float) -> Array:
 
 
 def sandwich(
-    parts: Sequence[Array], repetitions: Sequence[Repetition] | None, names: Sequence[str]
+    parts: Sequence[Array], repetitions: Sequence[Repetition], names: Sequence[str]
 ) -> tuple[Array, Array]:
     """Standard uncertainties and degrees of freedom from triangles ``[parameters | residual]`` of the positions.
+
+    Raises
+    ------
+    LeverageError
+        If one position alone determines one of the parameters, by their ``names``.
+    """
+    u, degrees, alone = scatter_of(parts)
+    for repetition, shares in zip(repetitions, alone.T, strict=True):
+        terms = tuple(dict.fromkeys(n for n, own in zip(names, shares, strict=True) if own > _CONCERNED))
+        if terms:
+            what = "part" if repetition.block else "position"
+            remedy = "visit this position again, or add positions that also show it, or leave terms out"
+            error = LeverageError(
+                f"{what} '{repetition.name}' alone determines {', '.join(terms)}: its scatter cannot be seen, so its "
+                "uncertainty is unknown",
+                remedy="record longer, or leave terms out" if repetition.block else remedy,
+                terms=terms,
+            )
+            error.position = repetition.name
+            raise error
+    return u, degrees
+
+
+def scatter_of(parts: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Standard uncertainties by the scatter of triangles ``[parameters | residual]``, and their degrees of freedom.
 
     In coordinates in which the information of all positions together is one, ``B_j`` is the information of position j and
     ``g_j`` its score. The variance of the combination d is a weighted mean over the positions of
     ``(d (1 - B_j)^-1/2 g_j)^2``, over that of their variances ``P_jj`` if the weights are right, with the weights
-    ``P_jj^-1/2`` (own choice). ``names`` and ``repetitions`` are for a refusal.
+    ``P_jj^-1/2`` (own choice). The last result is the share (parameters, positions) of each variance in directions that a
+    position alone determines.
     """
-    p = parts[0].shape[1] - 1
-    inverse = inverse_root(parts, p)
-    x = np.array([part[:, :p] @ inverse for part in parts])
-    missed = np.array([part[:, p] for part in parts])
-    moved = np.einsum("jka,jk->a", x, missed)
-    B = np.einsum("jka,jkb->jab", x, x)
-    g = np.einsum("jka,jk->ja", x, missed - x @ moved)
-    value, vector = np.linalg.eigh(B)
+    inverse, value, vector, score = unit_information(parts)
     known = (inverse**2).sum(axis=1)
-    alone = value > 1.0 - _ALONE
-    if alone.any():
-        if repetitions is not None:
-            share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / known[None, :, None]
-            _refuse_alone(alone, share, repetitions, names)
-        value = np.minimum(value, 1.0 - _ALONE)
-    root = np.einsum("jab,jb,jcb->jac", vector, (1.0 - value) ** -0.5, vector)
-    d = np.einsum("ca,jab->cjb", inverse, root)
-    z = np.einsum("cja,ja->cj", d, g)
-    dB = np.einsum("cja,jab->cjb", d, B)
-    P = -np.einsum("cja,cka->cjk", dB, dB)
-    at = np.arange(len(parts))
-    P[:, at, at] += np.einsum("cja,cja->cj", d, dB)
+    turned = np.einsum("ca,jab->cjb", inverse, vector)
+    alone = np.where(value > 1.0 - _ALONE, turned**2, 0.0).sum(axis=2) / known[:, None]
+    d = turned * (1.0 - np.minimum(value, 1.0 - _ALONE)) ** -0.5
+    z = np.einsum("cjb,jb->cj", d, score)
+    dB = np.einsum("cjb,jab->cja", d * value, vector)
+    P, at = -np.einsum("cja,cka->cjk", dB, dB), np.arange(len(parts))
+    P[:, at, at] += (d**2 * value).sum(axis=2)
     variance = P[:, at, at]
     weight = np.maximum(variance + _SHARE * variance.mean(axis=1, keepdims=True), 1e-300) ** -0.5
     trace = (weight * variance).sum(axis=1)
@@ -193,7 +205,21 @@ def sandwich(
     with np.errstate(invalid="ignore", divide="ignore"):
         u = np.sqrt(known * (weight * z**2).sum(axis=1) / trace)
         degrees = trace**2 / np.einsum("cj,cjk,ck,cjk->c", weight, P, weight, P)
-    return u, degrees
+    return u, degrees, alone
+
+
+def unit_information(parts: Sequence[Array]) -> tuple[Array, Array, Array, Array]:
+    """Information of triangles ``[parameters | residual]`` in coordinates in which that of all together is one.
+
+    The results are L with ``L L'`` the inverse information, the eigenvalues (j, b) and eigenvectors (j, a, b) of the information
+    of each part, and its score (j, b) along these.
+    """
+    p = parts[0].shape[1] - 1
+    inverse = inverse_root(parts, p)
+    x, missed = np.array([part[:, :p] @ inverse for part in parts]), np.array([part[:, p] for part in parts])
+    missed = missed - x @ np.einsum("jka,jk->a", x, missed)
+    value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
+    return inverse, value, vector, np.einsum("jab,jka,jk->jb", vector, x, missed)
 
 
 def inverse_root(parts: Sequence[Array], p: int) -> Array:
@@ -201,32 +227,8 @@ def inverse_root(parts: Sequence[Array], p: int) -> Array:
     stacked = np.vstack([part[:, :p] for part in parts])
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
-    inverse: Array = solve_upper(triangle(stacked / scale), np.eye(p)) / scale[:, None]
+    inverse: Array = np.linalg.solve(triangle(stacked / scale), np.eye(p)) / scale[:, None]
     return inverse
-
-
-def _refuse_alone(
-    alone: NDArray[np.bool_], share: Array, repetitions: Sequence[Repetition], names: Sequence[str]
-) -> None:
-    """Raise if a direction that one position alone determines is a part of a coefficient; ``share`` (j, c, direction)."""
-    for j, repetition in enumerate(repetitions):
-        concerned = [
-            name for name, own in zip(names, share[j][:, alone[j]].sum(axis=1), strict=True) if own > _CONCERNED
-        ]
-        if concerned:
-            listed = ", ".join(dict.fromkeys(concerned))
-            what = "part" if repetition.block else "position"
-            error = LeverageError(
-                f"{what} '{repetition.name}' alone determines {listed}: its scatter cannot be seen, so its uncertainty is unknown",
-                remedy=(
-                    "record longer, or leave terms out"
-                    if repetition.block
-                    else "visit this position again, or add positions that also show it, or leave terms out"
-                ),
-                terms=tuple(dict.fromkeys(concerned)),
-            )
-            error.position = repetition.name
-            raise error
 
 
 def _between_runs(
@@ -246,15 +248,9 @@ def _between_runs(
         triangle(np.vstack([part for part, own in zip(parts, runs, strict=True) if own == k]))
         for k in sorted(set(runs))
     ]
-    p = u.size
-    inverse = inverse_root(together, p)
-    x = np.array([part[:, :p] @ inverse for part in together])
-    value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
-    share = np.einsum("ca,jab->jcb", inverse, vector) ** 2 / (inverse**2).sum(axis=1)[None, :, None]
-    alone = np.where((value > 1.0 - _ALONE)[:, None, :], share, 0.0).sum(axis=2).max(axis=0)
-    wide, few = sandwich(together, None, [])
+    wide, few, alone = scatter_of(together)
     chance = fdtrc(few, degrees, (wide / np.maximum(u, 1e-300)) ** 2)
-    taken = (alone < _CONCERNED) & (wide > u) & (chance < _BETWEEN)
+    taken = (alone.max(axis=1) < _CONCERNED) & (wide > u) & (chance < _BETWEEN)
     return np.where(taken, wide, 0.0), few
 
 
@@ -266,19 +262,17 @@ def _order(rows: Sequence[Array], repetitions: Sequence[Repetition]) -> tuple[fl
     """
     from scipy.special import fdtrc
 
-    p = rows[0].shape[1] - 2
-    pairs = [(part, part[:, p], r.stated) for part, r in zip(rows, repetitions, strict=True)]
-    rows = [part - rate_share(own, b @ b) * np.outer(b, b @ part) for part, b, own in pairs]
-    inverse = inverse_root(rows, p)
-    x = [part[:, :p] @ inverse for part in rows]
-    unit = np.array([part[:, p] @ part[:, p] for part in rows])
+    p, whole = rows[0].shape[1] - 2, np.array(rows)
+    b = whole[:, :, p]
+    share = rate_share([r.stated for r in repetitions], (b**2).sum(axis=1))
+    whole -= np.einsum("j,jk,ji,jil->jkl", share, b, b, whole)
+    inverse, b, y = inverse_root(list(whole), p), whole[:, :, p], whole[:, :, p + 1]
+    x, unit = whole[:, :, :p] @ inverse, (b**2).sum(axis=1)
     if (unit <= 0.0).any():
         return np.nan, 1.0, None
-    moved = sum((own.T @ part[:, p + 1] for own, part in zip(x, rows, strict=True)), start=np.zeros(p))
-    along = np.array([own.T @ part[:, p] for own, part in zip(x, rows, strict=True)])
-    rate = np.array([part[:, p] @ (part[:, p + 1] - own @ moved) for own, part in zip(x, rows, strict=True)])
-    count = sum(r.part.count for r in repetitions)
-    square = sum(float(part[:, p + 1] @ part[:, p + 1]) for part in rows) - float(moved @ moved)
+    moved, along = np.einsum("jka,jk->a", x, y), np.einsum("jka,jk->ja", x, b)
+    rate = (b * (y - x @ moved)).sum(axis=1)
+    count, square = sum(r.part.count for r in repetitions), float((y**2).sum() - moved @ moved)
     hat = along / unit[:, None] @ along.T
     freedom = len(rows) - float(np.trace(hat))
     rest = count - p - freedom
@@ -304,21 +298,14 @@ def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, f
     usual = float(np.median(end - begin))
     covariance = np.zeros_like(hat)
     for exponent in np.arange(0.0, np.log10(_SHORTEST * longest / usual), _SPACING):
-        covariance += _mean_covariance(begin, end, usual / _SHORTEST * 10.0**exponent)
+        time = usual / _SHORTEST * 10.0**exponent
+        for one, other, sign in ((end, begin, 1), (begin, end, 1), (end, end, -1), (begin, begin, -1)):
+            lag = np.abs(one[:, None] - other[None, :]) / time  # covariance of the means of first-order noise
+            covariance += sign * time**2 * (lag + np.exp(-lag))
+    covariance /= np.outer(end - begin, end - begin)
     covariance *= run[:, None] == run[None, :]
     rest = np.eye(len(hat)) - hat
     shown = float(np.trace(rest @ covariance @ rest.T)) / freedom
     moved = np.einsum("ci,ij,cj->c", effect, covariance, effect)
     factor: Array = np.sqrt(np.maximum(moved / ((effect**2).sum(axis=1) * shown), 1.0))
     return factor
-
-
-def _mean_covariance(begin: Array, end: Array, time: float) -> Array:
-    """Covariance of the means over the positions of first-order noise with this correlation time [s]."""
-
-    def twice(one: Array, other: Array) -> Array:
-        lag = np.abs(one[:, None] - other[None, :]) / time
-        return np.asarray(time**2 * (lag + np.exp(-lag)))
-
-    total = twice(end, begin) + twice(begin, end) - twice(end, end) - twice(begin, begin)
-    return np.asarray(total / np.outer(end - begin, end - begin))

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.fit import Fit, find_residuals, fit_run, residual_figures, segment_table
+from piga.calibration.fit import Fit, fit_run
 from piga.calibration.intervals import Interval, find_interval
-from piga.calibration.model.design import Design, given_servo
+from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, refuse_useless
 from piga.calibration.model.request import Request, check_per_run, make_request
 from piga.calibration.model.solution import Estimate, asked_order
-from piga.calibration.sources import Source, listed, sources
-from piga.calibration.summary import MergedRuns, RunSummary, SourceSummary, repetitions, source_column
-from piga.calibration.uncertainty import stated_scatter, units_of
+from piga.calibration.residuals import find_residuals, residual_figures, segment_table
+from piga.calibration.sources import SERVO_SOURCE, SourceSummary, listed, sources, stated_scatter, units_of
+from piga.calibration.summary import MergedRuns, RunSummary, repetitions, source_column
 from piga.calibration.weights import RATE, Extra, reduce_positions, residual_increments
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import SILENT, Steps
@@ -39,8 +39,6 @@ _LAST_TO_GO = (BIAS, "tan_beta", "scale_factor")
 """Terms that the fit for the noise levels leaves out last."""
 _INNER_CHANGE = 1e-6
 """Relative change of K above which the regressors of runs with base rotation are computed again."""
-_SERVO_SOURCE = "servo "
-"""Prefix of the names of sources that belong to the instrument."""
 _COMMON_TO_ALL_STANDS = ("gravity",)
 """Sources that belong to the site, not to the stand."""
 _WARMED = {"k0_T": "k0", "k1_T": "scale_factor"}
@@ -304,16 +302,13 @@ def _summarised(
     """The run of a fit, reduced to the given columns; ``scale_factor`` replaces the K inside the regressors."""
     wide = replace(request, terms=columns, per_run=())
     design = Design(fit.run, wide, scale_factor or fit.design.scale_factor)
-    rows = reduce_positions(design, fit.mode, fit.noise)
-    residuals = find_residuals(fit.design, fit.values, fit.noise, fit.mode)
+    rows = reduce_positions(design, fit.noise)
     return replace(
         RunSummary.of_rows(design, fit.noise, rows),
         name=name,
         terms=request.terms,
         per_run=request.per_run,
         undetermined=undetermined,
-        segments=segment_table(fit.design, residuals),
-        figures=residual_figures(residuals),
         outliers=fit.outliers,
         software=f"piga {__version__}",
         created=now(),
@@ -332,8 +327,11 @@ def summary_of_all_terms(run: Run, request: Request, name: str) -> RunSummary:
     static = (term for term in STATIC_TERMS if not (run.direct and turns(term)))
     columns = (*static, *logged, *(term for term in request.terms if harmonic(term)))
     summary = _summarised(fit, request, columns, name or run_name(run, 0), undetermined)
+    residuals = find_residuals(fit.design, fit.values, fit.noise)
+    figures = residual_figures(residuals)
+    summary = replace(summary, segments=segment_table(fit.design, residuals), figures=figures)
     design = Design(fit.run, replace(request, terms=columns, per_run=()), fit.design.scale_factor)
-    return with_sources(summary, design, fit.design, fit.values, fit.mode)
+    return with_sources(summary, design, fit.design, fit.values)
 
 
 def with_sources(
@@ -341,7 +339,6 @@ def with_sources(
     design: Design,
     fitted: Design,
     values: Array,
-    mode: str,
     *,
     units: bool = False,
     steps: Steps = SILENT,
@@ -352,41 +349,27 @@ def with_sources(
     ``values`` (segments, m) are its column coefficients. Of a long record the means of neighbouring samples are moved.
     """
     run = design.means.run
-    moving = [(source, True) for source in sources(run)]
-    moving += [(source, False) for source in units_of(run)] if units else []
+    stated, weighed = list(sources(run)), bool(summary.noise.stated)
+    moving = [*stated, *(units_of(run) if units else ())]
     plain = Design(run, fitted.request, fitted.scale_factor)
     known, changes = residual_increments(plain, values)[0], []
-    for source, _ in moving:
-        steps.part(f"adding up the budget: {source.name}")
+    for source in moving:
+        steps.part(f"adding up the budget: {source.summary.name}")
         change = residual_increments(plain.of(source.moved), values)[0]
         change -= known
         changes.append(change)
     names = tuple(source_column(number) for number in range(len(changes)))
     extra = Extra(names, lambda block: np.array([change[block.start : block.stop] for change in changes]))
-    parts = reduce_positions(design, mode, summary.noise, extra=extra if changes else None)
+    parts = reduce_positions(design, summary.noise, extra=extra if changes else None)
+    held = (
+        replace(one.summary, stated=number < len(stated), in_fit=one.summary.draw == "segment" and weighed)
+        for number, one in enumerate(moving)
+    )
     return replace(
         summary,
         positions=repetitions(design, summary.noise, parts),
-        sources=tuple(
-            _source_summary(source, design.run, stated, weighed=bool(summary.noise.stated))
-            for source, stated in moving
-        ),
+        sources=tuple(held),
         stand_sources=listed(design.run),
-    )
-
-
-def _source_summary(source: Source, run: Run, stated: bool, *, weighed: bool) -> SourceSummary:
-    servo = given_servo(replace(run, servo=source.fields["servo"])) if "servo" in source.fields else {}
-    return SourceSummary(
-        source.name,
-        source.value,
-        source.unit,
-        source.distribution,
-        source.degrees_of_freedom if np.isfinite(source.degrees_of_freedom) else None,
-        tuple(servo.items()),
-        source.draw,
-        in_fit=source.draw == "segment" and weighed,
-        stated=stated,
     )
 
 
@@ -396,9 +379,7 @@ def with_all_sources(fit: JointFit, steps: Steps = SILENT) -> JointFit:
     for index, live in enumerate(fit.live):
         if live:
             design, values = fit.design_of(index, live)
-            summaries[index] = with_sources(
-                summaries[index], design, design, values, live.mode, units=True, steps=steps
-            )
+            summaries[index] = with_sources(summaries[index], design, design, values, units=True, steps=steps)
     return replace(fit, summaries=tuple(summaries))
 
 
@@ -416,7 +397,7 @@ def joint_sources(
         for number, source in enumerate(summary.sources):
             if source.stated != stated:
                 continue
-            of_servo = source.name.startswith(_SERVO_SOURCE)
+            of_servo = source.name.startswith(SERVO_SOURCE)
             of_site = source.name in _COMMON_TO_ALL_STANDS or of_servo
             own = -1 if source.draw == "reference" else index
             device = None if of_servo else summary.reference_id
@@ -441,7 +422,7 @@ def effects(fit: JointFit, *, stated: bool) -> Iterator[tuple[SourceSummary, Arr
         each = stated and source.draw == "segment" and not fit.summaries[first].positions[0].block
         draws = own[0] if each else [np.sum([one.sum(axis=0) for one in own], axis=0)]
         moved = np.array([fit.moved(inverse @ draw) for draw in draws])
-        if moved.any() or not source.name.startswith(_SERVO_SOURCE):
+        if moved.any() or not source.name.startswith(SERVO_SOURCE):
             yield source, moved
 
 

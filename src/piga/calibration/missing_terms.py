@@ -22,7 +22,7 @@ import numpy as np
 from piga.calibration.intervals import parameter_rows
 from piga.calibration.joint import JointFit, merge_runs
 from piga.calibration.model.design import Design, Names
-from piga.calibration.model.reduction import Reduction, solve_upper
+from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.solution import phaseless_columns
 from piga.calibration.summary import CONSTANT, RunSummary, repetitions
 from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
@@ -227,7 +227,7 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     new = [name for name in wider.names if name not in design.names]
     at, others = [wider.names.index(name) for name in new], design.means.beside(wider.request)
     more = Extra(tuple(new), lambda _: next(others).columns[at])
-    reduced = reduce_positions(design, live.mode, summary.noise, positions, more)
+    reduced = reduce_positions(design, summary.noise, positions, more)
     variances = summary.noise.rate_variances(len(run.labels)) if not positions.continuous else np.zeros(1)
     parts = repetitions(design, replace(summary.noise, stated=(), counted=()), reduced, positions)
     held = zip(parts, variances[positions.segments].tolist(), strict=True)
@@ -268,9 +268,9 @@ def tested(
     fall, freedom, few = float(z @ z), rows - m - q, max(len(parts) - m - q, _FEWEST)
     if freedom < 1 or fall + rest == 0.0:
         return None
-    variance, inverse = rest / freedom, solve_upper(own, np.eye(q))
-    size, model = inverse @ z, solve_upper(R[:m, :m], R[:m, m : m + q])
-    fitted = np.append(solve_upper(R[:m, :m], R[:m, -1]) - model @ size, size)
+    variance, inverse = rest / freedom, np.linalg.solve(own, np.eye(q))
+    size, model = inverse @ z, np.linalg.solve(R[:m, :m], R[:m, m : m + q])
+    fitted = np.append(np.linalg.solve(R[:m, :m], R[:m, -1]) - model @ size, size)
     beside = parts[:, :, m : m + q] - parts[:, :, :m] @ model
     score = np.einsum("jkq,jk->jq", beside, parts[:, :, -1] - parts[:, :, :-1] @ fitted)
     scatter, weight = score.T @ score * len(parts) / few, own.T @ z
@@ -402,34 +402,28 @@ class LeftOut:
 def left_out_terms(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
     """Servo signatures in the records; empty if none is clear, if terms absorb them, or if the stands separate them.
 
-    ``candidates`` are those of the fit without scatter.
+    ``candidates`` are those of the fit without scatter. Phases of the segments take up a damping; on one stand that is no head
+    they let it pass for a stiffness.
     """
-    held, square, coefficients = held_terms(fit), candidates.squares[0], fit.coefficients
-    if fit.summaries[0].unit != GYRO or fit.by_input:
+    held, square = held_terms(fit), candidates.squares[0]
+    if fit.summaries[0].unit != GYRO or fit.by_input or "scale_factor" not in held:
         return ()
+    one_phase = all(len(summary.labels) == 1 for summary in fit.summaries)
+    hidden = fit.only is not None and square is None and not one_phase
+    lacking = _lacking(fit, candidates, one_phase) if "tan_beta" in held and not hidden else ()
     waived = any(s.name == "servo" and s.status == "waived" for one in fit.summaries for s in one.stand_sources)
-    if "scale_factor" not in held:
-        return ()
-    coupled = "tan_beta" in held and not _is_hidden(fit, candidates)
-    lacking = _lacking(fit, candidates) if coupled else ()
     if waived or "servo" in held or (lacking and "servo" in candidates.order):
         return lacking
     if square and "k3" in held:
-        return (*lacking, *_asked_cube(coefficients, square))
-    return (*lacking, *_unnamed(fit, candidates))
+        return (*lacking, _asked_cube(fit.coefficients, square))
+    return (*lacking, *_unnamed(fit, candidates, hidden))
 
 
-def _is_hidden(fit: JointFit, candidates: Candidates) -> bool:
-    """True if phases of the segments of one run, on a stand that is no head, let its damping pass for its stiffness."""
-    return fit.only is not None and candidates.squares[0] is None and _has_own_phases(fit)
-
-
-def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+def _lacking(fit: JointFit, candidates: Candidates, one_phase: bool) -> tuple[LeftOut, ...]:
     """The terms of the servo, if a fit with them shows one, or ``k3`` may be one: it has a damping, too, that turns the phases.
 
     The half-width is the change in that fit, and by what its standard uncertainty is larger.
     """
-    one_phase = not _has_own_phases(fit)
     names = tuple(n for n in SERVO_TERMS if n in candidates.order and (one_phase or n == "servo"))
     wider = next((found for own in (names, names[:1]) if own and (found := candidates.refit(own))), {})
     sizes = [wider[name] for name in names if name in wider]
@@ -444,23 +438,19 @@ def _lacking(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
         for c in own
         if c.name in ("scale_factor", "tan_beta", "phi") and c.segment is None
     )
-    if square is not None and "servo" in (c.name for c in sizes):
+    if square is not None and "servo" in wider:
         by_k3 = wider["scale_factor"].value * (1.0 - wider["servo"].value * si_factor("servo") * square)
         at = [c.key for c in own].index("scale_factor")
         change[at] = max(change[at], by_k3 - own[at].value, key=abs)
         moved += (
             f" (with k3 in place of servo: {by_k3:.8g}; a run on a centrifuge, calibrated together, decides)"
         )
+    seen = ", ".join(f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}" for c in shown)
     words = (
-        f"the residuals show {', '.join(map(_in_words, shown))}, which the model lacks; with it: {moved}. The uncertainties "
+        f"the residuals show {seen}, which the model lacks; with it: {moved}. The uncertainties "
         f"cover this shift. Add {' and '.join(map(repr, SERVO_TERMS if one_phase else names))} to [model] terms"
     )
     return (LeftOut(LACKING_SOURCE, change, words if shown else ""),)
-
-
-def _has_own_phases(fit: JointFit) -> bool:
-    """True if the segments of a run have phases of their own, which take up a damping."""
-    return any(len(summary.labels) > 1 for summary in fit.summaries)
 
 
 def _is_clear(c: Coefficient, tests: int = 1) -> bool:
@@ -469,25 +459,23 @@ def _is_clear(c: Coefficient, tests: int = 1) -> bool:
     return abs(c.value) > factor * c.std
 
 
-def _in_words(c: Coefficient) -> str:
-    return f"{c.key} = {c.value:.3g} +/- {c.std:.1g} {c.unit}"
-
-
-def _unnamed(fit: JointFit, candidates: Candidates) -> tuple[LeftOut, ...]:
+def _unnamed(fit: JointFit, candidates: Candidates, hidden: bool) -> tuple[LeftOut, ...]:
     """The servo that the records do not exclude: by the column of ``servo``, without ``tan_beta`` by the cube in 1 g.
 
     Without both, that of one run is listed with its effect, and has no size. The half-width is that of the 95 % limit, one-sided
     because a stiffness is not negative, but at most that of the softest servo.
     """
     coefficients, square, unit = fit.coefficients, candidates.squares[0], si_factor("servo")
-    share, nothing = _softest_share(fit), np.zeros(len(coefficients))
+    rows = [summary.count for summary in fit.summaries]
+    bent, total = np.average([summary.bending for summary in fit.summaries], axis=0, weights=rows)
+    share = _SOFTEST * unit * float(bent / max(total, 1e-300))  # relative change of K by the softest servo
     if share < _NEGLIGIBLE:
         return ()
     names = ("servo",) if square is None else ("servo", "k3")
     name = next((name for name in names if name in candidates.order), None)
-    if name is None or _is_hidden(fit, candidates):
+    if name is None or hidden:
         listed = StandSource("servo", "unstated", "ug/g^3")
-        return (LeftOut(_UNNAMED_SOURCE, nothing, "", listed),) if fit.only else ()
+        return (LeftOut(_UNNAMED_SOURCE, np.zeros(len(coefficients)), "", listed),) if fit.only else ()
     test, of_scale = candidates.test((name,)), np.array([c.name == "scale_factor" for c in coefficients])
     if test is None:
         return (_bounded(np.where(of_scale, share * values_of(coefficients), 0.0), _SOFTEST, math.inf),)
@@ -515,14 +503,7 @@ def _bounded(shift: Array, size: float, std: float, why: str = "") -> LeftOut:
     return LeftOut(_UNNAMED_SOURCE, shift * (min(limit, _SOFTEST) / size), "", listed)
 
 
-def _softest_share(fit: JointFit) -> float:
-    """Relative change of K by the softest servo."""
-    rows = [sum(p.part.count for p in summary.positions) for summary in fit.summaries]
-    weighted, total = np.average([summary.bending for summary in fit.summaries], axis=0, weights=rows)
-    return _SOFTEST * si_factor("servo") * float(weighted / max(total, 1e-300))
-
-
-def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[LeftOut, ...]:
+def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> LeftOut:
     """The other meaning of a requested ``k3``, if ``a_x^2 + a_t^2`` is constant: ``square`` [m^2/s^4]."""
     named = {c.name: c for c in coefficients}
     scale, k3 = named["scale_factor"], named["k3"]
@@ -535,4 +516,4 @@ def _asked_cube(coefficients: tuple[Coefficient, ...], square: float) -> tuple[L
         f"k3 may be the effect of the servo: scale_factor is {scale.value + shift:.8g} with servo and {scale.value:.8g} with k3 "
         f"{scale.unit}, and its uncertainty covers both; a run on a centrifuge, calibrated together, decides"
     )
-    return (replace(bounded, words=covered if _is_clear(k3) else ""),)
+    return replace(bounded, words=covered if _is_clear(k3) else "")

@@ -91,6 +91,24 @@ class ModelComparison:
     def document(self) -> dict[str, Any]:
         """The comparison as plain data for JSON: coefficients in the units of calibration.json."""
         best = None if self.best is None else self.sets[self.best]
+        sets: list[dict[str, Any]] = []
+        for row in self.sets:
+            sets.append({"terms": list(row.terms), "reason": row.reason})
+            if row.chi_square is None or row.bic is None or best is None or best.bic is None:
+                continue
+            changes = dict(row.changes)
+            sets[-1] |= {
+                "parameters": row.parameters,
+                "chi_square": row.chi_square,
+                "log_likelihood": row.log_likelihood,
+                "bic": row.bic,
+                "chi_square_per_degree": row.chi_square / (self.observations - row.parameters),
+                "bic_above_best": row.bic - best.bic,
+                "coefficients": [
+                    {"key": c.key, "value": c.value, "std": c.std, "unit": c.unit, "change": changes.get(c.key)}
+                    for c in row.coefficients
+                ],
+            }
         return {
             "treatment": "noise levels of the largest set that the record separates, the same for all sets",
             "noise_terms": list(self.noise_terms),
@@ -98,28 +116,8 @@ class ModelComparison:
             "angle_random_walk": self.angle_random_walk,
             "observations": self.observations,
             "best": None if best is None else list(best.terms),
-            "sets": [_set_document(row, best, self.observations) for row in self.sets],
+            "sets": sets,
         }
-
-
-def _set_document(row: TermSet, best: TermSet | None, observations: int) -> dict[str, Any]:
-    document: dict[str, Any] = {"terms": list(row.terms), "reason": row.reason}
-    if row.chi_square is None or row.bic is None or best is None or best.bic is None:
-        return document
-    changes = dict(row.changes)
-    figures = {key: getattr(row, key) for key in ("parameters", "chi_square", "log_likelihood", "bic")}
-    return (
-        document
-        | figures
-        | {
-            "chi_square_per_degree": row.chi_square / (observations - row.parameters),
-            "bic_above_best": row.bic - best.bic,
-            "coefficients": [
-                {"key": c.key, "value": c.value, "std": c.std, "unit": c.unit, "change": changes.get(c.key)}
-                for c in row.coefficients
-            ],
-        }
-    )
 
 
 @one_thread()
@@ -227,7 +225,7 @@ class _UnionReduction:
         fit, _ = fit_determined(run, request)
         design = Design(fit.run, request, fit.design.scale_factor)
         noise = replace(fit.noise, scatter=0.0, stated=())
-        triangles, logarithm = reduce_between(design, fit.mode, noise, Positions.of(fit.run).edges)
+        triangles, logarithm = reduce_between(design, noise, Positions.of(fit.run).edges)
         return cls(fit, RunSummary.of_rows(design, noise, triangles), logarithm)
 
     def compared(self, terms: tuple[str, ...]) -> TermSet:

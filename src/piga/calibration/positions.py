@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piga._kernels.estimation import merge_rows
-from piga.calibration.fit import Fit
-from piga.calibration.intervals import inverse_root, parameter_rows, sandwich, without_rate
+from piga.calibration.fit import NORMAL_MEDIAN, Fit
+from piga.calibration.intervals import parameter_rows, scatter_of, unit_information, without_rate
 from piga.calibration.joint import JointFit
 from piga.calibration.model.design import Block, Design
 from piga.calibration.model.reduction import Reduction, triangle
-from piga.calibration.outliers import NORMAL_MEDIAN
-from piga.calibration.weights import RATE, Extra, Positions, reduce_positions, residual_increments, with_scatter
+from piga.calibration.weights import RATE, Extra, Positions, reduce_positions
 from piga.records.calibration.coefficient import Coefficient
 from piga.records.calibration.diagnostics import CREEP_ALARMS, Creep, SegmentLeverage
 from piga.results import Array
@@ -42,7 +41,7 @@ _UNLIKELY = 4.5
 _MOST_SEGMENTS = 500
 """Most segments for leaving out one at a time."""
 _SENTENCES = 4
-"""Most sentences of a kind."""
+"""Most sentences of a kind; the table of the segments shows all."""
 _ALONE = 1e-9
 """Remainder ``1 - B_j`` below which a segment alone has a combination of the parameters."""
 _FEWEST = 5
@@ -53,8 +52,6 @@ _NEAR = (0.7, 0.84, 1.0, 1.2, 1.4)
 """Time constants beside the best one that are then tried, relative to it."""
 _SAMPLES = 2
 """Fewest samples in a time constant."""
-_BINS = 24
-"""Bins of the figure in a position of median length."""
 _REST = 0.1
 """Largest shift of a coefficient, in its standard uncertainties, that is left after the time advised for ``settle``."""
 
@@ -78,12 +75,7 @@ def find_leverage(
     at = list(range(layout.size + (0 if local else estimate.phases.size)))
     rows = [parameter_rows(layout, estimate, r, at, local=local) for r in repetitions]
     parts = [without_rate(part, r.variance) for part, r in zip(rows, repetitions, strict=True)]
-    inverse = inverse_root(parts, len(at))
-    x = np.array([part[:, :-1] @ inverse for part in parts])
-    missed = np.array([part[:, -1] for part in parts])
-    missed = missed - x @ np.einsum("jka,jk->a", x, missed)
-    value, vector = np.linalg.eigh(np.einsum("jka,jkb->jab", x, x))
-    score = np.einsum("jab,jka,jk->jb", vector, x, missed)
+    inverse, value, vector, score = unit_information(parts)
     root = inverse @ vector
     rest = 1.0 / np.maximum(1.0 - value, _ALONE)
     changes = -np.einsum("jab,jb->ja", root, rest * score)
@@ -118,7 +110,7 @@ def _in_words(
 
     ``noise``: the part of the noise in the standard uncertainty of each coefficient.
     """
-    alone, moving = list[tuple[float, str]](), list[tuple[float, str]]()
+    alone, moving = list[str](), list[tuple[float, str]]()
     for label, row in table.items():
         sole = [c.name for c in common if row.share[c.name] > _DETERMINES]
         if sole:
@@ -127,7 +119,7 @@ def _in_words(
                 f"{100.0 * _DETERMINES:.0f} % of the information): no residual shows an error there; "
                 "add a position or level like it"
             )
-            alone.append((0.0, words))
+            alone.append(words)
         for c, part in zip(common, noise, strict=True):
             share, shift = row.share[c.name], row.shift[c.name]
             if label not in named or shift is None or share > _DETERMINES or abs(shift) <= least:
@@ -140,7 +132,7 @@ def _in_words(
                 )
                 moving.append((abs(shift), words))
     moving.sort(key=lambda item: -item[0])
-    return tuple(words for _, words in _few(alone)), tuple(_few(moving))
+    return tuple(alone[:_SENTENCES]), tuple(moving[:_SENTENCES])
 
 
 def _std(fit: JointFit, at: list[int], covariance: Array) -> Array:
@@ -158,15 +150,6 @@ def _odd_segments(rows: Sequence[Array], labels: Sequence[str]) -> tuple[str, ..
     away = np.abs(rate - np.median(rate))
     odd = away > _UNLIKELY * np.median(away) / NORMAL_MEDIAN
     return tuple(label for label, far in zip(labels, odd, strict=True) if far)
-
-
-def _few(sentences: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """The first sentences, and the number of those left out."""
-    more = len(sentences) - _SENTENCES
-    rest = (
-        [(sentences[0][0], f"{more} more such remarks: see the leverage of the segments")] if more > 0 else []
-    )
-    return sentences[:_SENTENCES] + rest
 
 
 @dataclass(frozen=True)
@@ -218,10 +201,10 @@ def _creep_of(fit: JointFit, index: int, live: Fit, coefficients: tuple[Coeffici
         near = _tests(live, design, values, positions, [best.time * part for part in _NEAR])
         best = max((test for test in near if test.by_move == best.by_move), key=lambda test: test.fall)
     jacobians, first = fit.estimate.jacobians, fit.first_group(index)
-    score = sum(
-        jacobians[first + group].T @ part.factor[:, :-2].T @ part.factor[:, -2]
-        for part, group in zip(with_scatter(best.rows, live.noise), design.groups, strict=True)
-    )
+    variances, score = live.noise.rate_variances(positions.count).tolist(), np.zeros(fit.estimate.parameters)
+    for own, variance, group in zip(best.rows, variances, design.groups, strict=True):
+        part = own.without((RATE,), variance)
+        score += jacobians[first + group].T @ part.factor[:, :-2].T @ part.factor[:, -2]
     shifts = zip(coefficients, fit.moved(-best.size * (fit.estimate.inverse @ score)), strict=True)
     scale = design.scale_factor * (1.0 if best.by_move else G0)
     return Creep(
@@ -231,7 +214,6 @@ def _creep_of(fit: JointFit, index: int, live: Fit, coefficients: tuple[Coeffici
         best.by_move,
         chance,
         {c.key: float(shift) / c.std for c, shift in shifts if c.std > 0.0},
-        *_stacked(design, values, positions, length),
     )
 
 
@@ -241,7 +223,7 @@ def _tests(live: Fit, design: Design, values: Array, positions: Positions, times
 
     names, m, force = tuple(map(str, range(len(times)))), len(design.names), live.run.f[:, 0]
     extra = Extra(names, lambda block: _decays(design, positions, block, times))
-    parts = reduce_positions(design, live.mode, live.noise, positions, extra)
+    parts = reduce_positions(design, live.noise, positions, extra)
     means = np.add.reduceat(force, positions.edges[:-1]) / np.diff(positions.edges)
     tests = []
     for by_move, moves in ((False, np.ones(positions.count)), (True, np.diff(means, prepend=means[0]))):
@@ -255,7 +237,7 @@ def _tests(live: Fit, design: Design, values: Array, positions: Positions, times
             square = sum(float(shape[0, 0] ** 2) for shape in shapes)
             if square > 0.0:
                 size = sum(float(shape[0, 0] * shape[0, 1]) for shape in shapes) / square
-                (std,), (degrees,) = sandwich(shapes, None, ())
+                (std,), (degrees,), _ = scatter_of(shapes)
                 chance = 2.0 * float(stdtr(degrees, -abs(size) / max(float(std), 1e-300)))
                 tests.append(_Test(time, by_move, rows, size, float(std), chance, size**2 * square))
     return tests
@@ -277,34 +259,6 @@ def _decays(design: Design, positions: Positions, block: Block, times: list[floa
         else:
             merge_rows(out, np.where(left_out, -1.0, block.h), left_out)
     return out
-
-
-def _stacked(
-    design: Design, values: Array, positions: Positions, length: float
-) -> tuple[tuple[float, ...], ...]:
-    """Time since the start of the position [s], mean residual rate over K [g] over the positions, and its 95 % half width."""
-    from scipy.special import stdtrit
-
-    run = design.run
-    visit = np.repeat(np.arange(positions.count), np.diff(positions.edges))
-    place = np.floor((run.t - run.t[positions.edges[:-1]][visit]) / length * _BINS).astype(np.int64)
-    missed, interval = residual_increments(design, values)
-    inside = (place >= 0) & (place < _BINS)
-    shape = (positions.count, _BINS)
-    d, h = (
-        np.bincount((visit * _BINS + place)[inside], own[inside], math.prod(shape)).reshape(shape)
-        for own in (missed, np.maximum(interval, 0.0))
-    )
-    mean = d.sum(axis=1) / np.maximum(h.sum(axis=1), 1e-300)
-    full = h > 0.5 * h.max(axis=0)
-    count = full.sum(axis=0)
-    rate = np.where(full, d / np.where(full, h, 1.0) - mean[:, None], 0.0) / (design.scale_factor * G0)
-    middle = rate.sum(axis=0) / np.maximum(count, 1)
-    spread = (np.where(full, rate - middle, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
-    band = stdtrit(np.maximum(count - 1, 1), 0.975) * np.sqrt(spread / np.maximum(count, 1))
-    kept = count > 1
-    time = (np.arange(_BINS) + 0.5) * length / _BINS
-    return tuple(tuple(own[kept].tolist()) for own in (time, middle, band))
 
 
 def _creep_in_words(name: str, live: Fit, creep: Creep) -> str:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piga.calibration.model.design import given_servo
 from piga.earth import EARTH_RATE, Site
 from piga.errors import RunFileError
-from piga.records.arrays import norms, scaled, stored
-from piga.records.calibration.coefficient import StandSource
+from piga.records.arrays import norms, stored
+from piga.records.calibration.coefficient import Level, Number, StandSource
 from piga.records.run import Run
 from piga.records.run_file import (
     ASSUMED_SOURCES,
@@ -24,10 +25,13 @@ from piga.records.run_file import (
     drawn_for,
     standard_uncertainty,
 )
+from piga.records.terms import si_factor
 from piga.results import Array
 from piga.stand import stand_changes
 from piga.units import G0, from_si, to_si
 
+SERVO_SOURCE = "servo "
+"""Prefix of the names of sources that belong to the instrument."""
 HEIGHT = 500.0
 """Standard uncertainty [m] of a height that is not stated."""
 _GRADIENT = 3.1e-7
@@ -53,18 +57,27 @@ _OF_STAND: dict[str, dict[str, str]] = {
     "vibration-table": {"levelling": "arcsec", "transverse_motion": "ppm", "rocking": "arcsec"} | LOGGED,
 }
 """Sources that exist on each stand, by the key of ``[uncertainty]``, with the unit in which they are listed."""
+_REPEATED = {
+    "levelling": ("levelling_repeatability",),
+    "reference_misalignment": ("mounting_repeatability",),
+}
+"""Keys that state a source with a new value at each position."""
 _INSTEAD = {"gravity": ("reference_scale", "centrifuge")}
 """A source that another key states too, but on one stand: a scale of the reference contains local gravity."""
 
 
-def catalogue(run: Run) -> dict[str, str]:
-    """Sources that exist on the stand of a record, with their units. A record without a stand has a logged reference."""
+def _stand_tables(run: Run) -> list[dict[str, Any]]:
+    """The tables of the stand of a record, one for each of its parts; an empty one without a stand."""
     stand = run.stand or {}
     parts = stand.get("parts")
-    kinds = [part.get("kind") for part in parts] if isinstance(parts, (list, tuple)) else [stand.get("kind")]
+    return list(parts) if isinstance(parts, (list, tuple)) else [stand]
+
+
+def catalogue(run: Run) -> dict[str, str]:
+    """Sources that exist on the stand of a record, with their units. A record without a stand has a logged reference."""
     listed: dict[str, str] = {}
-    for kind in kinds:
-        listed |= _OF_STAND.get(str(kind), LOGGED)
+    for table in _stand_tables(run):
+        listed |= _OF_STAND.get(str(table.get("kind")), LOGGED)
     thermal = run.temperature is not None and any(term.endswith("_T") for term in run.model.terms)
     return listed | ({"temperature": "K"} if thermal else {})
 
@@ -72,13 +85,8 @@ def catalogue(run: Run) -> dict[str, str]:
 def _is_stated(run: Run, name: str) -> bool:
     """True if ``[uncertainty]`` states a source by its key, or by one that contains it."""
     other, but = _INSTEAD.get(name, (name, ""))
-    stand = (run.stand or {}).get("kind")
-    names = (name,) if stand == but else (name, other)
-    repeated = {
-        "levelling": ("levelling_repeatability",),
-        "reference_misalignment": ("mounting_repeatability",),
-    }
-    return any(getattr(run.uncertainty, key) is not None for key in (*names, *repeated.get(name, ())))
+    names = (name,) if (run.stand or {}).get("kind") == but else (name, other)
+    return any(getattr(run.uncertainty, key) is not None for key in (*names, *_REPEATED.get(name, ())))
 
 
 def _assumed_sizes(run: Run) -> dict[str, str]:
@@ -89,7 +97,10 @@ def _assumed_sizes(run: Run) -> dict[str, str]:
         sizes["earth_rate"] = (
             f"no base rate and no site are given: the rotation of the Earth is up to {ppm:.2g} ppm of K, {ppm:.2g} ug"
         )
-    if "height" not in waived and run.uncertainty.gravity is None and _unknown_height(run):
+    unknown_height = run.computed_reference and any(
+        "latitude" in table and not {"height", "gravity"} & set(table) for table in _stand_tables(run)
+    )
+    if "height" not in waived and run.uncertainty.gravity is None and unknown_height:
         sizes["height"] = (
             f"not stated: {HEIGHT:.0f} m assumed, {1e6 * _GRADIENT * HEIGHT:.3g} ppm of local gravity"
         )
@@ -101,68 +112,39 @@ def _gravity_alone(run: Run) -> bool:
     return abs(float(norms(run.f).max()) / G0 - 1.0) < _GRAVITY_REFERENCE
 
 
-def _unknown_height(run: Run) -> bool:
-    """True if gravity is computed from a latitude alone."""
-    if not run.computed_reference or run.stand is None:
-        return False
-    parts = run.stand.get("parts")
-    tables = parts if isinstance(parts, (list, tuple)) else [run.stand]
-    return any("latitude" in table and not {"height", "gravity"} & set(table) for table in tables)
+@dataclass(frozen=True)
+class SourceSummary:
+    """One source of Type B of a run. Its column in the triangles of the positions is named by its number.
 
+    The column is the change of the observations, less that of the model, by one standard uncertainty of the source.
+    ``degrees_of_freedom`` None: known exactly. ``in_fit``: True if the weights include the source. ``draw`` as in the run file.
+    ``stated``: False for one unit of a source that nobody stated.
+    """
 
-def _assumed(run: Run, size: float) -> Iterator[Source]:
-    """Sources with an assumed size: the rotation of the Earth, upwards and across, and the height of the site."""
-    sizes = _assumed_sizes(run)
-    if "earth_rate" in sizes:
-        half = size * EARTH_RATE / math.sqrt(3.0)
-        shown = EARTH_RATE / math.sqrt(3.0)
-        upwards = scaled(run.f.T, half / G0).T
-        across = scaled(upwards.T, 1.0).T
-        across[:, 0], across[:, 1] = -upwards[:, 1], upwards[:, 0]
-        for name, rate in (("upwards", upwards), ("across", across)):
-            fields = {"base_rate": rate}
-            yield Source(run, f"earth_rate {name}", shown, "rad/s", "rectangular", fields=fields)
-    if "height" in sizes:
-        lower = -size * _GRADIENT * HEIGHT
-        yield Source(run, "height", HEIGHT, "m", force=partial(_times, lower, partial(_itself, run)))
-
-
-Force = Callable[[slice], Array]
-"""Change of the specific force [m/s^2] in a slice of rows, (n, 3)."""
+    name: str
+    value: Number
+    unit: str
+    distribution: str = "normal"
+    degrees_of_freedom: Level | None = None
+    known_servo: tuple[tuple[str, Number], ...] = ()
+    draw: Draw = "reference"
+    in_fit: bool = False
+    stated: bool = True
 
 
 @dataclass(frozen=True)
 class Source:
-    """One source of Type B of a run: name, standard uncertainty in ``unit``, distribution, and what it moves.
+    """A source of a record, and data of the record in place of its own: one of them, moved by the source."""
 
-    ``force`` is the change of the specific force, ``stretch`` the relative change of the clock, ``warmth`` [K] that of the
-    thermometer; ``fields`` are other data of the run in place of its own. ``draw`` says how often the source takes a new
-    value.
-    """
-
+    summary: SourceSummary
     run: Run
-    name: str
-    value: float
-    unit: str
-    distribution: str = "normal"
-    degrees_of_freedom: float = math.inf
-    draw: Draw = "reference"
-    force: Force | None = None
-    stretch: float = 0.0
-    warmth: float = 0.0
-    fields: Mapping[str, Any] = field(default_factory=dict)
+    key: str
+    values: Callable[[], Any]
 
     @property
     def moved(self) -> Run:
         """The record moved by the source, in all segments; made anew at each call, because it is as large as the record."""
-        run, fields = self.run, dict(self.fields)
-        if self.force is not None:
-            fields["f"] = stored(run.f + self.force(slice(None)))
-        if self.stretch:
-            fields["t"] = scaled(run.t, 1.0 + self.stretch)
-        if self.warmth and run.temperature is not None:
-            fields["temperature"] = scaled(run.temperature, 1.0, self.warmth)
-        return replace(run, **fields)
+        return replace(self.run, **{self.key: self.values()})
 
 
 def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
@@ -180,59 +162,100 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         given = getattr(run.uncertainty, name)
         if given is None:
             continue
-        standard, distribution, degrees = standard_uncertainty(given, like, f"[uncertainty] {name}")
+        standard, shape, degrees = standard_uncertainty(given, like, f"[uncertainty] {name}")
         if standard == 0.0:
             continue
-        value, shape = size * standard, (distribution, degrees, drawn_for(name))
-        whole = partial(Source, run, name, from_si(standard, like), like, *shape)
+        shown, draw = from_si(standard, like), drawn_for(name)
+        whole = SourceSummary(name, shown, like, shape, _finite(degrees), draw=draw)
+        value = size * standard
         if name in ("reference_scale", "reference_repeatability", "gravity"):
-            scale = value / G0 if name == "gravity" else value
-            yield whole(force=partial(_times, scale, partial(_itself, run)))
+            yield Source(whole, run, "f", partial(_enlarged, run.f, value / G0 if name == "gravity" else value))
         elif name == "timing":
-            yield whole(stretch=value)
+            yield Source(whole, run, "t", partial(_enlarged, run.t, value))
         elif name == "temperature":
             if run.temperature is not None:
-                yield whole(warmth=value)
+                yield Source(whole, run, name, partial(_raised, run.temperature, value))
         elif name == "vibration":
-            yield whole(force=partial(_times, value, partial(_along, run, 0)))
+            yield Source(whole, run, "f", partial(_raised, run.f, value * np.eye(3)[0]))
         else:
-            move = _along if name == "reference_bias" else _about
-            for axis, label in enumerate(("X0", "Y0", "Z0")):
-                force = partial(_times, value, partial(move, run, axis))
-                yield replace(whole(force=force), name=f"{name} {label}")
+            for axis, label in zip(np.eye(3), ("X0", "Y0", "Z0"), strict=True):
+                move = _raised if name == "reference_bias" else _turned
+                own = replace(whole, name=f"{name} {label}")
+                yield Source(own, run, "f", partial(move, run.f, value * axis))
     yield from _assumed(run, size)
     for parameter in run.servo:
         if parameter.standard > 0.0:
             value = parameter.value + size * parameter.standard
             entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
-            name = f"servo {parameter.name.replace('_', ' ')}"
-            shown = from_si(parameter.standard, parameter.unit)
-            known = (parameter.distribution, parameter.degrees_of_freedom)
-            yield Source(run, name, shown, parameter.unit, *known, fields={"servo": entries})
+            name = SERVO_SOURCE + parameter.name.replace("_", " ")
+            own = SourceSummary(
+                name,
+                from_si(parameter.standard, parameter.unit),
+                parameter.unit,
+                parameter.distribution,
+                _finite(parameter.degrees_of_freedom),
+                tuple(given_servo(replace(run, servo=entries)).items()),
+            )
+            yield Source(own, run, "servo", partial(tuple, entries))
     for change in stand_changes(run):
-        number, _, written_unit = change.written.partition(" ")
-        shape = (change.distribution, change.degrees_of_freedom, change.draw)
-        force = partial(_times, size, change.change)
-        yield Source(run, change.name, float(number), written_unit or "1", *shape, force=force)
+        number, _, unit = change.written.partition(" ")
+        degrees_of_freedom = _finite(change.degrees_of_freedom)
+        own = SourceSummary(
+            change.name, float(number), unit or "1", change.distribution, degrees_of_freedom, draw=change.draw
+        )
+        yield Source(own, run, "f", partial(_by_stand, run.f, size, change.change))
 
 
-def _times(size: float, change: Force, part: slice) -> Array:
-    return size * change(part)
+def _assumed(run: Run, size: float) -> Iterator[Source]:
+    """Sources with an assumed size: the rotation of the Earth, upwards and across, and the height of the site."""
+    sizes = _assumed_sizes(run)
+    if "earth_rate" in sizes:
+        shown = EARTH_RATE / math.sqrt(3.0)
+        upwards = size * shown / G0 * run.f
+        across = np.column_stack([-upwards[:, 1], upwards[:, 0], upwards[:, 2]])
+        for name, rate in (("upwards", upwards), ("across", across)):
+            own = SourceSummary(f"earth_rate {name}", shown, "rad/s", "rectangular")
+            yield Source(own, run, "base_rate", partial(stored, rate))
+    if "height" in sizes:
+        own = SourceSummary("height", HEIGHT, "m")
+        yield Source(own, run, "f", partial(_enlarged, run.f, -size * _GRADIENT * HEIGHT))
 
 
-def _itself(run: Run, part: slice) -> Array:
-    """The specific force: times a size, the change by a scale."""
-    return np.asarray(run.f[part])
+def _finite(degrees: float) -> float | None:
+    return degrees if math.isfinite(degrees) else None
 
 
-def _along(run: Run, axis: int, part: slice) -> Array:
-    """A unit along one axis."""
-    return np.broadcast_to(np.eye(3)[axis], run.f[part].shape)
+def _enlarged(values: Array, share: float) -> Array:
+    return stored(values + share * values)
 
 
-def _about(run: Run, axis: int, part: slice) -> Array:
-    """Change of the specific force by a turn of the reference about one axis (first order)."""
-    return np.cross(np.eye(3)[axis], run.f[part])
+def _raised(values: Array, by: Array | float) -> Array:
+    return stored(values + by)
+
+
+def _turned(f: Array, by: Array) -> Array:
+    """The specific force with the reference turned about its axes (first order)."""
+    return stored(f + np.cross(by, f))
+
+
+def _by_stand(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
+    return stored(f + size * change(slice(None)))
+
+
+def stated_scatter(run: Run) -> tuple[float, ...]:
+    """Variance [rad^2/s^2] of the mean rate of every segment (m,) by the sources with a new value in each segment.
+
+    It is the sum over these sources of the squared ``K`` times mean change of the axial specific force. Empty without such a
+    source.
+    """
+    variance = np.zeros(len(run.labels))
+    count = np.bincount(run.segment_index, minlength=variance.size)
+    for source in sources(run):
+        if source.summary.draw == "segment":
+            axial = source.moved.f[:, 0] - run.f[:, 0]
+            change = np.bincount(run.segment_index, axial, minlength=variance.size)
+            variance += (run.scale_factor * change / count) ** 2
+    return tuple(variance.tolist()) if variance.any() else ()
 
 
 def listed(run: Run) -> tuple[StandSource, ...]:
@@ -252,10 +275,11 @@ def listed(run: Run) -> tuple[StandSource, ...]:
     return tuple(result)
 
 
-def with_units(run: Run) -> Run:
-    """The record with one unit of each source that is not stated, and no other source.
+def units_of(run: Run, size: float = 1.0) -> list[Source]:
+    """``size`` units of each source that nobody stated, and 1 ug/g^3 of a servo, averaged over turns of the output.
 
-    Those of a stand that does not describe the record are left out: their effects are not known.
+    Such a servo lowers the output, as a reference that is as much too large. Sources of a stand that does not describe the
+    record are left out: their effects are not known.
     """
     units = {
         source.name: source.unit if source.unit[0].isdigit() else f"1 {source.unit}"
@@ -263,13 +287,22 @@ def with_units(run: Run) -> Run:
         if source.status == "unstated"
     }
     waived = dict.fromkeys(ASSUMED_SOURCES, "not of interest here")
-    moved = replace(run, uncertainty=UncertaintyTable(**units, waived=waived))
+    plain = replace(run, servo=(), uncertainty=UncertaintyTable(**units, waived=waived))
     try:
-        next(stand_changes(moved), None)
+        next(stand_changes(plain), None)
     except RunFileError:
         general = {name: unit for name, unit in units.items() if name in UNCERTAINTY_UNITS}
-        moved = replace(run, uncertainty=UncertaintyTable(**general, waived=waived))
-    return moved
+        plain = replace(plain, uncertainty=UncertaintyTable(**general, waived=waived))
+    unstated = [replace(source, run=run) for source in sources(plain, size)]
+    by_servo = SourceSummary("servo", 1.0, "ug/g^3")
+    return [*unstated, Source(by_servo, run, "f", partial(_bent, run))]
+
+
+def _bent(run: Run) -> Array:
+    """The specific force with 1 ug/g^3 of a servo, averaged over turns of the output."""
+    f = np.array(run.f)
+    f[:, 0] += 1e-6 * si_factor("servo") * f[:, 0] * across_squared(run, slice(None))
+    return stored(f)
 
 
 def gravity_in_words(run: Run) -> str:

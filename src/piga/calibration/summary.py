@@ -18,7 +18,12 @@ import numpy as np
 
 from piga.calibration.intervals import Repetition
 from piga.calibration.model.design import Design, Names, given_servo
-from piga.calibration.model.identifiability import Examination, examine_parts, refuse_if_confounded
+from piga.calibration.model.identifiability import (
+    Examination,
+    examine_parts,
+    refuse_if_confounded,
+    refuse_if_servo_alike,
+)
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import harmonics_of, make_request, shared_of
 from piga.calibration.model.solution import (
@@ -32,8 +37,7 @@ from piga.calibration.model.solution import (
     phaseless_columns,
     solve_parts,
 )
-from piga.calibration.servo import refuse_if_servo_alike
-from piga.calibration.sources import across_squared
+from piga.calibration.sources import SourceSummary, across_squared
 from piga.calibration.weights import RATE, Noise, Positions
 from piga.errors import CalibrationError
 from piga.output import check_results
@@ -41,7 +45,6 @@ from piga.records.arrays import spans
 from piga.records.calibration.coefficient import Coefficient, Level, Number, StandSource
 from piga.records.calibration.diagnostics import Outlier, Quality, SegmentSummary
 from piga.records.run import Run
-from piga.records.run_file import Draw
 from piga.records.terms import GYRO, SERVO_TERMS, check_name
 from piga.results import Array, Result
 from piga.text_files import JsonError, converted, json_object, read_whole
@@ -58,26 +61,6 @@ CONSTANT = 1e-3
 """Largest relative change of a squared force that counts as constant."""
 _FORCE_SAMPLES = 4096
 """Samples used for this."""
-
-
-@dataclass(frozen=True)
-class SourceSummary:
-    """One source of Type B of a run. Its column in the triangles of the positions is named by its number.
-
-    The column is the change of the observations, less that of the model, by one standard uncertainty of the source.
-    ``degrees_of_freedom`` None: known exactly. ``in_fit``: True if the weights include the source. ``draw`` as in the run file.
-    ``stated``: False for one unit of a source that nobody stated.
-    """
-
-    name: str
-    value: Number
-    unit: str
-    distribution: str = "normal"
-    degrees_of_freedom: Level | None = None
-    known_servo: tuple[tuple[str, Number], ...] = ()
-    draw: Draw = "reference"
-    in_fit: bool = False
-    stated: bool = True
 
 
 def source_column(number: int) -> str:
@@ -293,11 +276,6 @@ class RunSummary(Result):
         held = tuple(replace(p, variance=own, stated=known) for p, own, known in positions)
         return replace(self, noise=noise, positions=held)
 
-    def columns(self, local: Names, shared: Names) -> Names:
-        """Names of the wanted columns in this summary. The ``k1`` of another run may be its scale factor."""
-        held = self.positions[0].part.names
-        return (*local, *("scale_factor" if name == "k1" and "k1" not in held else name for name in shared))
-
 
 def repetitions(
     design: Design, noise: Noise, parts: Sequence[Reduction], positions: Positions | None = None
@@ -411,8 +389,9 @@ class MergedRuns:
         return sum(len(summary.labels) for summary in self.summaries[:index])
 
     def wanted(self, index: int) -> Names:
-        """Columns of a run in the fit."""
-        return self.summaries[index].columns(self.local, self.shared[index])
+        """Columns of a run in the fit. The ``k1`` of another run may be its scale factor."""
+        held, shared = self.summaries[index].positions[0].part.names, self.shared[index]
+        return (*self.local, *("scale_factor" if n == "k1" and "k1" not in held else n for n in shared))
 
     def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
         """Changes of the given servo by each source of a run that moves it, by its column.

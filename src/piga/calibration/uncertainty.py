@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piga.calibration.model.solution import asked_order
-from piga.calibration.sources import Source, across_squared, sources, with_units
+from piga.calibration.sources import SourceSummary
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import (
     Amount,
@@ -33,13 +33,11 @@ from piga.records.calibration.coefficient import (
     welch_satterthwaite,
 )
 from piga.records.calibration.diagnostics import MonteCarlo, MonteCarloCheck
-from piga.records.run import Run
 from piga.records.terms import si_factor, unit_of
 from piga.results import Array
 
 if TYPE_CHECKING:
     from piga.calibration.joint import JointFit
-    from piga.calibration.summary import SourceSummary
 
 _TRIALS = 200_000
 """Trials. They give an end of a 95 % interval to 0.6 % of u."""
@@ -51,38 +49,6 @@ _SEED = 101
 """Fixed seed: the same record gives the same digits."""
 _DOUBTFUL = 6.0
 """Ratio of tan_beta to its standard uncertainty below which its interval is not linear (Rice-like)."""
-
-
-def stated_scatter(run: Run) -> tuple[float, ...]:
-    """Variance [rad^2/s^2] of the mean rate of every segment (m,) by the sources with a new value in each segment.
-
-    It is the sum over these sources of the squared ``K`` times mean change of the axial specific force. Empty without such a
-    source.
-    """
-    variance = np.zeros(len(run.labels))
-    count = np.bincount(run.segment_index, minlength=variance.size)
-    for source in sources(run):
-        if source.draw == "segment":
-            axial = source.moved.f[:, 0] - run.f[:, 0]
-            change = np.bincount(run.segment_index, axial, minlength=variance.size)
-            variance += (run.scale_factor * change / count) ** 2
-    return tuple(variance.tolist()) if variance.any() else ()
-
-
-def units_of(run: Run) -> list[Source]:
-    """One unit of each source that nobody stated, and 1 ug/g^3 of a servo, averaged over turns of the output.
-
-    Such a servo lowers the output, as a reference that is as much too large.
-    """
-    unit = 1e-6 * si_factor("servo")
-
-    def force(part: slice) -> Array:
-        change = np.zeros_like(run.f[part])
-        change[:, 0] = unit * run.f[part, 0] * across_squared(run, part)
-        return change
-
-    unstated = [source for source in sources(with_units(run)) if "servo" not in source.fields]
-    return [*unstated, Source(run, "servo", 1.0, "ug/g^3", force=force)]
 
 
 @dataclass(frozen=True)
@@ -112,7 +78,11 @@ def add_up(fit: JointFit, effects: Iterable[tuple[SourceSummary, Array]], more: 
     std_of_fit, moved = np.maximum(np.diag(type_a), 1e-300), list(effects)
     held = [change.T @ change for source, change in moved if source.in_fit]
     if held:
-        type_a = _positive_part(type_a - sum(held, start=np.zeros_like(type_a)))
+        type_a = type_a - sum(held, start=np.zeros_like(type_a))
+        scale = np.sqrt(np.maximum(np.abs(np.diag(type_a)), 1e-300))
+        value, vector = np.linalg.eigh(type_a / np.outer(scale, scale))
+        root = scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0))  # rounding can make a value negative
+        type_a = root @ root.T
     degrees = fit.degrees * np.maximum(np.diag(type_a) / std_of_fit, 1e-6) ** 2
     std = np.sqrt(np.diag(type_a))
     rows = [budget_row("fit residuals (repeatability)", "A", "normal", None, "", own, std)]
@@ -132,15 +102,6 @@ def add_up(fit: JointFit, effects: Iterable[tuple[SourceSummary, Array]], more: 
         for c, u, nu in zip(own, np.sqrt(np.diag(covariance)), effective, strict=True)
     )
     return Budget(tuple(rows), changes, type_a, covariance, degrees, coefficients)
-
-
-def _positive_part(covariance: Array) -> Array:
-    """The matrix without negative eigenvalues of its correlations, which rounding can cause."""
-    std = np.sqrt(np.maximum(np.abs(np.diag(covariance)), 1e-300))
-    value, vector = np.linalg.eigh(covariance / np.outer(std, std))
-    root = std[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
-    positive: Array = root @ root.T
-    return positive
 
 
 def budget_row(
@@ -224,7 +185,7 @@ def monte_carlo_intervals(fit: JointFit, budget: Budget) -> tuple[tuple[Coeffici
     live, coefficients = fit.only, budget.coefficients
     wanted = "gum" if live is None else live.run.estimation.uncertainty
     weak = any(c.name == "tan_beta" and c.value < _DOUBTFUL * c.std for c in coefficients)
-    able = live is not None and live.mode == "increments" and len(fit.estimate.jacobians) == 1
+    able = live is not None and live.design.mode == "increments" and len(fit.estimate.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):
         return coefficients, None
     base, names, results = fit.values_of(fit.estimate, 0)[0], fit.wanted(0), _results(fit)

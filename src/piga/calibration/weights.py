@@ -9,7 +9,7 @@ scatter of the positions (:mod:`piga.calibration.intervals`). Formulas: docs/the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -70,28 +70,12 @@ class Noise:
         counted = np.array(self.counted) if self.counted else np.zeros(count)
         return np.array(self.stated_rates(count)) + counted + self.scatter
 
-    def of_rows(self, design: Design) -> Noise:
-        """The levels of the rows of a design, which may be means of samples."""
-        white, walk = design.noise_of_rows(self.white, self.walk)
-        return replace(self, white=white, walk=walk)
-
     def close_to(self, other: Noise, step: float, rows: int, tolerance: float = 0.05) -> bool:
         """True if both give nearly the same weights: an increment, and the mean rate over ``rows`` increments."""
         short, long = (
             (2.0 * n.white + n.walk * step, n.walk * step + 12.0 * n.white / rows**2) for n in (self, other)
         )
         return abs(math.log(short[0] / long[0])) < tolerance and abs(math.log(short[1] / long[1])) < tolerance
-
-
-def rounding(run: Run) -> float:
-    """Least angle noise that is estimated [rad]: the rounding of the output."""
-    return 4.0 * float(np.finfo(float).eps) * max(largest_size(run.output), 1e-3)
-
-
-def starting_noise(resolution: float, step: float) -> Noise:
-    """Levels for the first fit: quantisation of one count, and a random walk of a hundredth of it per step."""
-    white = max(resolution, 1e-9) ** 2 / 12.0
-    return Noise(white, 0.01 * white / step)
 
 
 @dataclass(frozen=True)
@@ -196,20 +180,6 @@ class Whitener:
         return out
 
 
-def weighting_mode(design: Design, method: str) -> str:
-    """Weighting mode of the rows for a method and a kind of output."""
-    if design.point:
-        return "samples"
-    return "rates" if method == "rate" else "increments"
-
-
-def weighted_blocks(design: Design, mode: str, noise: Noise) -> Iterator[tuple[Block, Array]]:
-    """Blocks of all samples with their weighted columns in order: model, observation."""
-    whitener = Whitener(mode, noise, len(design.names) + 1, design.run.median_step)
-    for block in design.blocks():
-        yield block, whitener.apply(block.columns, block.h)
-
-
 def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
     """Share c for which ``x - c b (b'x)`` whitens rows that are white but for a rate along b; ``b'b = square``.
 
@@ -221,7 +191,7 @@ def rate_share(variance: ArrayLike, square: ArrayLike) -> Array:
 
 
 def reduce_between(
-    design: Design, mode: str, noise: Noise, edges: NDArray[np.int64], extra: Extra | None = None
+    design: Design, noise: Noise, edges: NDArray[np.int64], extra: Extra | None = None
 ) -> tuple[list[Reduction], float]:
     """One triangle ``[model | rate | extra | y]`` of rows with unit variance between each two ``edges`` (G + 1,).
 
@@ -230,7 +200,8 @@ def reduce_between(
     names = (*design.names, RATE, *(() if extra is None else extra.names))
     parts = [Reduction.empty(names) for _ in edges[:-1]]
     design, edges = design.means, design.means.rows_of(edges)
-    whitener = Whitener(mode, noise.of_rows(design), len(names) + 1, design.run.median_step)
+    own = Noise(*design.noise_of_rows(noise.white, noise.walk))
+    whitener = Whitener(design.mode, own, len(names) + 1, design.run.median_step)
     for block in design.blocks():
         more = [] if extra is None else [extra.columns(block)]
         rate = np.maximum(block.h, 0.0)[None]
@@ -245,20 +216,13 @@ def reduce_between(
 
 def reduce_positions(
     design: Design,
-    mode: str,
     noise: Noise,
     positions: Positions | None = None,
     extra: Extra | None = None,
 ) -> list[Reduction]:
     """One triangle ``[model | rate | extra | y]`` per position."""
     edges = (positions or Positions.of(design.run)).edges
-    return reduce_between(design, mode, noise, edges, extra)[0]
-
-
-def with_scatter(parts: Sequence[Reduction], noise: Noise) -> list[Reduction]:
-    """The triangles ``[model | y]`` of positions whose rates scatter as ``noise`` says."""
-    variances = noise.rate_variances(len(parts))
-    return [part.without((RATE,), float(own)) for part, own in zip(parts, variances, strict=True)]
+    return reduce_between(design, noise, edges, extra)[0]
 
 
 def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
@@ -271,24 +235,25 @@ def residual_increments(design: Design, values: Array) -> tuple[Array, Array]:
     return d, h
 
 
-def find_noise(design: Design, d: Array, h: Array, fitted: int, mode: str) -> Noise:
+def find_noise(design: Design, d: Array, h: Array, fitted: int) -> Noise:
     """White noise and random walk of residual increments ``d`` over intervals ``h``, from within the segments.
 
     The rate of each segment is free, so that neither a scatter of the rates nor most of the model matters. ``fitted`` is
     the number of further parameters.
     """
     step, edges = design.run.median_step, design.run.segment_edges().astype(np.int64)
-    if mode == "samples":
+    rounding = 4.0 * float(np.finfo(float).eps) * max(largest_size(design.run.output), 1e-3)
+    if design.point:
         starts, square, freedom = edges[:-1], float(d @ d), design.rows - fitted
         count = 0.5 * (np.add.reduceat(h, starts) + np.diff(edges))  # h of a sample that is left out: -1
         if freedom > starts.size:  # otherwise the samples of a segment are too few to show their own noise
             square -= float((np.add.reduceat(d, starts) ** 2 / np.maximum(count, 1.0)).sum())
             freedom -= starts.size
         variance = square / max(freedom, 1)
-        return Noise(0.0, max(variance, rounding(design.run) ** 2) * step)
+        return Noise(0.0, max(variance, rounding**2) * step)
     least = math.sqrt(_ROUNDED / 12.0) * design.run.resolution
-    noise = likeliest_levels(d, h, edges, step, fitted, max(rounding(design.run), least))
-    return noise if mode == "rates" else replace(noise, counted=counted_rates(design.run, noise.white))
+    noise = likeliest_levels(d, h, edges, step, fitted, max(rounding, least))
+    return noise if design.mode == "rates" else replace(noise, counted=counted_rates(design.run, noise.white))
 
 
 _SPACING = 1.5

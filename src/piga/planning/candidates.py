@@ -23,7 +23,7 @@ from piga.calibration.joint import JointFit, effects, merge_runs, with_sources
 from piga.calibration.model.design import Design
 from piga.calibration.model.request import Request, check_servo, with_phase
 from piga.calibration.summary import RunSummary
-from piga.calibration.weights import RATE, Extra, Noise, counted_rates, reduce_positions, weighting_mode
+from piga.calibration.weights import RATE, Extra, Noise, counted_rates, reduce_positions
 from piga.errors import CalibrationError, IdentifiabilityError, PigaError, RunFileError, UnitError
 from piga.instrument.electronics import Electronics
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
@@ -356,19 +356,19 @@ def predict(request: PlanRequest, name: str, visits: tuple[Visit, ...]) -> Predi
     """Predicted uncertainty of a test, from the estimator itself; ``refusal`` if the calibration would refuse the record."""
     duration = sum(visit.dwell for visit in visits) + request.move * (len(visits) - 1)
     try:
-        design, mode, summary = _reduced(request, noiseless_run(request, visits))
+        design, summary = _reduced(request, noiseless_run(request, visits))
         fit = _solved(request, summary)
     except IdentifiabilityError as error:
         return Prediction(name, visits, duration, refusal=error.message)
     named, covariance = fit.named(fit.estimate, fit.estimate.covariance)
     if design.run.resolution > 0.0:
-        stated = _stated_with_counts(request, design, mode, fit)
+        stated = _stated_with_counts(request, design, fit)
         named = tuple(replace(c, std=float(u)) for c, u in zip(named, stated, strict=True))
     coefficients = tuple(
         replace(c, degrees_of_freedom=float(nu)) for c, nu in zip(named, fit.degrees, strict=True)
     )
     values = fit.values_in_segments(design, fit.estimate)
-    moved = replace(fit, summaries=(with_sources(summary, design, design, values, mode),))
+    moved = replace(fit, summaries=(with_sources(summary, design, design, values),))
     squares = sum(
         (np.sum(change**2, axis=0) for _, change in effects(moved, stated=True)), np.zeros(len(named))
     )
@@ -412,7 +412,7 @@ def _reduced_tests(request: PlanRequest, candidates: tuple[Candidate, ...], dwel
             since = run.t - run.t[run.segment_edges()[:-1]][run.segment_index]
             late = since > dwell + 0.5 * interval
             run = run.without(late) if late.any() else run
-            reduced.append(_reduced(request, run)[2])
+            reduced.append(_reduced(request, run)[1])
         parts.append(reduced[::-1])
     return [_joined(request, of_dwell) for of_dwell in zip(*parts, strict=True)]
 
@@ -436,13 +436,12 @@ def _solved(request: PlanRequest, summary: RunSummary) -> JointFit:
         raise IdentifiabilityError(message, remedy=error.remedy) from None
 
 
-def _reduced(request: PlanRequest, run: Run) -> tuple[Design, str, RunSummary]:
-    """Columns of the noiseless record of a test, mode of its weights, and its summary."""
+def _reduced(request: PlanRequest, run: Run) -> tuple[Design, RunSummary]:
+    """Columns of the noiseless record of a test, and its summary."""
     noise, wish = _noise_of(request), request_of(request.model)
     noise = replace(noise, counted=counted_rates(run, noise.white))
     design = Design(run, wish, run.scale_factor)
-    mode = weighting_mode(design, "information")
-    return design, mode, RunSummary.of_rows(design, noise, reduce_positions(design, mode, noise))
+    return design, RunSummary.of_rows(design, noise, reduce_positions(design, noise))
 
 
 def _noise_of(request: PlanRequest) -> Noise:
@@ -481,7 +480,7 @@ def noiseless_run(request: PlanRequest, visits: tuple[Visit, ...]) -> Run:
     )
 
 
-def _stated_with_counts(request: PlanRequest, design: Design, mode: str, fit: JointFit) -> Array:
+def _stated_with_counts(request: PlanRequest, design: Design, fit: JointFit) -> Array:
     """Root mean square of the Type A standard uncertainties that records with counts and noise state (file units).
 
     What the counts add to the noiseless output of each record is one more column of the same reduction.
@@ -498,7 +497,7 @@ def _stated_with_counts(request: PlanRequest, design: Design, mode: str, fit: Jo
     columns = np.where(rows.run.begins, 0.0, changes)
     names = tuple(f"record {k}" for k in range(_COUNTED_RECORDS))
     extra = Extra(names, lambda block: columns[:, block.start : block.stop])
-    parts, stated = reduce_positions(design, mode, summary.noise, extra=extra), []
+    parts, stated = reduce_positions(design, summary.noise, extra=extra), []
     model = (*design.names, RATE)
     for k in range(_COUNTED_RECORDS):
         matrix = np.zeros((len(model) + _COUNTED_RECORDS + 1, len(model) + 1))

@@ -6,12 +6,19 @@ import numpy as np
 from benchmarks.constant_force import PHI, ConstantForce, tumble
 
 import piga
+from piga.calibration.model.solution import Layout
 from piga.records.run_file import UncertaintyTable
 
 SCALE = "0.8884 rad/s/g"
 BETA = 3.6e-4
 TERMS = ["scale_factor", "tan_beta", "k0", "k2", "m_Y"]
 TRUTH = {"tan_beta": float(np.tan(BETA)), "phi": PHI, "k0": 1.6e-3, "k2": 2.0e-4, "m_Y": 2.4e-4}
+
+
+def layout_of(coupled: bool, orders: tuple[int, ...], terms: tuple[str, ...], groups: int = 1) -> Layout:
+    """The layout of one run: every shared term is one parameter in all ``groups``."""
+    keys = tuple((name, None) for name in terms)
+    return Layout(coupled, orders, keys, (np.arange(len(keys)),) * groups)
 
 
 def at_rest(**sources) -> UncertaintyTable:

@@ -81,7 +81,7 @@ def test_rows_have_unit_variance(short, kind, white):
     terms = TERMS if kind == "angle" else ["scale_factor", "k0"]
     design = Design(noisy, make_request(noisy, terms, "information"), run.scale_factor)
     assert isinstance(design.means, MeanDesign)
-    total = Reduction.stacked(reduce_positions(design, "samples" if kind == "rate" else "increments", noise))
+    total = Reduction.stacked(reduce_positions(design, noise))
     free = total.without((RATE,))
     assert total.count < 400
     assert free.factor[-1, -1] ** 2 / (total.count - len(terms) - 2) == pytest.approx(1.0, abs=0.25)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import piga
 from piga._kernels.arithmetic import weigh_neighbours
-from piga._kernels.estimation import add_product_bows, smooth_bows
+from piga._kernels.estimation import product_column, smooth_bows
 from piga.terms import PRODUCTS
 from piga.units import G0
 
@@ -115,6 +115,9 @@ def test_columns_with_bows_are_integrals_over_parabolas(name: str) -> None:
         return 0.5 * float(weight @ integrand)
 
     f[:] = 3.0 + 0.01 * f
-    out = np.zeros(1)
-    add_product_bows(PRODUCTS.get(name) or ("x", "t"), t, f, bows, warm, h, out)
-    assert out[0] == pytest.approx(h[0] * (mean(1.0) - mean(0.0)), rel=0.02, abs=1e-9)
+    bent, straight, samples = np.zeros(1), np.zeros(1), dict(zip("xyzTt", (*f, warm, t - 0.0), strict=True))
+    middles = {name: own.mean(keepdims=True) for name, own in samples.items()}
+    product_column(PRODUCTS.get(name) or ("x", "t"), samples, middles, h, straight)
+    middles |= {name: middles[name] + 1.5 * bow for name, bow in zip("xyz", bows, strict=True)}
+    product_column(PRODUCTS.get(name) or ("x", "t"), samples, middles, h, bent)
+    assert bent[0] - straight[0] == pytest.approx(h[0] * (mean(1.0) - mean(0.0)), rel=0.02, abs=1e-9)

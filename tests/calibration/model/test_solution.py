@@ -22,7 +22,7 @@ from piga.calibration.model.solution import (
 from piga.records.run_file import EstimationTable
 from piga.units import G0
 from tests.calibration.made.independent import Bench, K
-from tests.calibration.made.synthetic import at_rest
+from tests.calibration.made.synthetic import at_rest, layout_of
 
 PROBLEMS = 10_000
 REACHED = 6.0
@@ -129,7 +129,7 @@ GROUPS = 5
 def grouped(seed: int, orders: tuple[int, ...], uneven: float) -> tuple[Layout, list[np.ndarray], np.ndarray]:
     """Layout, factors and true amplitudes; groups show one direction up to ``10**uneven`` times as well as the other."""
     rng = np.random.default_rng(seed)
-    layout = Layout.of_one(True, orders, ("scale_factor", "k0"), GROUPS)
+    layout = layout_of(True, orders, ("scale_factor", "k0"), GROUPS)
     size, factors = layout.local + 3, []
     truth = rng.standard_normal(layout.size)
     truth[: layout.head] = np.append(1.0, 0.05 * truth[1 : layout.head])
@@ -217,7 +217,7 @@ def test_phases_of_groups_do_not_make_the_coupling_larger(size: float, mean: flo
     """
     rng = np.random.default_rng(11)
     groups, records, rows = 12, 150, 50
-    layout = Layout.of_one(True, (), ("k0",), groups)
+    layout = layout_of(True, (), ("k0",), groups)
     errors = []
     for _ in range(records):
         parts = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.orders import residual_angles
+from piga.calibration.residuals import residual_angles
 from piga.data import copy_example
 from piga.records.calibration.coefficient import Amount
 from piga.reports.calibration.page import brief

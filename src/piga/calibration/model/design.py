@@ -22,16 +22,15 @@ from numpy.typing import NDArray
 
 from piga._kernels.arithmetic import weigh_neighbours
 from piga._kernels.estimation import (
-    NONE,
-    add_product_bows,
     coupling_columns,
     mean_rows,
     merge_rows,
+    product_at,
     product_column,
     servo_columns,
     smooth_bows,
 )
-from piga.calibration.model.request import Request, phase_angle
+from piga.calibration.model.request import Request, harmonics_of, phase_angle, shared_of
 from piga.calibration.model.solution import PHASELESS, phaseless_columns
 from piga.errors import DataError
 from piga.instrument.twin import servo_terms
@@ -77,9 +76,9 @@ _TURN = 0.3
 _MOVED = 1e-3
 """Largest mean square of the force about the means, relative to that of the force; more would lose information."""
 _EVEN = 0.1
-"""Largest relative difference of the interval of a segment from the usual one, in a record that is averaged."""
+"""Largest relative difference of an interval from the usual one, in a record that is averaged."""
 _PIECES = 0.01
-"""Largest share of the rows of a segment in pieces shorter than two means, in a record that is averaged."""
+"""Largest share of other intervals, and of rows in pieces shorter than two means, in a record that is averaged."""
 _SHARED = 16
 """Fewest means in a segment, and half the fewest in a stretch of usual length."""
 
@@ -126,9 +125,11 @@ class Design:
     def __post_init__(self) -> None:
         run = self.run
         self.estimates_scale_factor = "scale_factor" in self.request.terms
-        self.turning_names = self._turning_names()
+        self._orders = harmonics_of(self.request.terms)
+        turning = ("p", "q") if "tan_beta" in self.request.terms else ()
+        self.turning_names = turning + tuple(f"{kind}{order}" for order in self._orders for kind in ("s", "c"))
         self.local_names = self.turning_names + phaseless_columns((*self.request.terms, *given_servo(self.run)))
-        self.shared_names = tuple(t for t in self.request.shared_terms if t not in SERVO_TERMS)
+        self.shared_names = tuple(t for t in shared_of(self.request.terms) if t not in SERVO_TERMS)
         self.names = self.local_names + self.shared_names
         self.per_segment = self.request.phases == "per-segment" and bool(self.turning_names)
         count = len(run.labels)
@@ -140,9 +141,10 @@ class Design:
         self._ranges = _ranges(run)
         self._check_bend()
 
-    def _turning_names(self) -> tuple[str, ...]:
-        coupling = ("p", "q") if "tan_beta" in self.request.terms else ()
-        return coupling + tuple(f"{kind}{order}" for order in self.request.harmonics for kind in ("s", "c"))
+    @property
+    def mode(self) -> str:
+        """Mode of the weights of the rows (:class:`piga.calibration.weights.Whitener`)."""
+        return "samples" if self.point else "rates" if self.request.method == "rate" else "increments"
 
     @property
     def has_phases(self) -> bool:
@@ -205,28 +207,19 @@ class Design:
         most = min(most, np.diff(run.segment_edges()).min() // _SHARED)
         most = min(most, 2 * np.median(lengths) // _SHARED)
         if self.turning_names:
-            orders = max((1, *self.request.harmonics))
+            orders = max((1, *self._orders))
             every = run.size // _MEANS
             turn = float(np.quantile(np.abs(np.diff(self.phase_angle[::every])), 0.9)) / every
             most = min(most, _TURN / max(orders * turn, 1e-300))
         count = max(1, int(most))
-        if not self._is_even(lengths, count):
+        steps = np.diff(run.t)[~run.begins[1:]]
+        even = np.mean(np.abs(steps / run.median_step - 1.0) > _EVEN) < _PIECES
+        if not even or lengths[lengths < 2 * count].sum() > _PIECES * run.size:
             return 1
         places = np.linspace(0, run.size - count, 1024).astype(np.int64)[:, None] + np.arange(count)
         force = run.f[places[~run.begins[places[:, 1:]].any(axis=1)]]
         about = force - force.mean(axis=1, keepdims=True)
         return count if np.mean(about**2) <= _MOVED * np.mean(force**2) else 1
-
-    def _is_even(self, lengths: NDArray[np.int64], count: int) -> bool:
-        """True if all segments are sampled alike and none is in pieces (of these ``lengths``) shorter than two means."""
-        run, segments = self.run, len(self.run.labels)
-        starts = np.flatnonzero(run.begins)
-        lasts, inside = starts + lengths - 1, run.segment_index[starts]
-        steps = np.maximum(np.bincount(inside, lengths - 1, segments), 1)
-        step = np.bincount(inside, run.t[lasts] - run.t[starts], segments) / steps
-        short = np.bincount(inside, lengths * (lengths < 2 * count), segments)
-        rows = np.bincount(inside, lengths, segments)
-        return bool((np.abs(step / run.median_step - 1.0) < _EVEN).all() and (short < _PIECES * rows).all())
 
     def means_of(self, values: Array) -> Array:
         """Values of the samples, one for each row of the design."""
@@ -256,27 +249,22 @@ class Design:
     def _build(self, index: int) -> Block:
         start, stop, segment = self._ranges[index]
         first = start if self.point else max(start - 1, 0)
-        window: slice | NDArray[np.int64] = slice(first, stop)
-        if self.point:
-            window = np.arange(start, stop).repeat(2)
         h, observation = self._observation(start, stop, first)
         bows = self._bows(first, stop)
         if bows is not None and (self.run.base_rate is not None or not self.estimates_scale_factor):
-            observation += np.maximum(h, 0.0) * (bows[3] - self._known_scale_factor * bows[0])
+            known = 0.0 if self.estimates_scale_factor else self.run.scale_factor
+            observation += np.maximum(h, 0.0) * (bows[3] - known * bows[0])
         columns = np.empty((len(self.names) + 1, h.size))
         columns[-1] = observation
-        force = self._force[:, window]
-        inner_h = np.tile((1.0, 0.0), stop - start)[:-1] if self.point else h
-        self._fill_local(columns, window, force, inner_h, bows)
-        self._fill_shared(columns, window, force, inner_h, bows)
-        if self.run.left_out is not None:
-            self._leave_out(columns, h, self.run.left_out[stop - h.size : stop])
+        if self.local_names:
+            self._fill_local(columns[: len(self.local_names)], slice(first, stop), h, bows)
+        self._fill_shared(columns[len(self.local_names) : -1], slice(first, stop), h, bows)
+        left_out = None if self.run.left_out is None else self.run.left_out[stop - h.size : stop]
+        if left_out is not None and self.point:
+            columns[:, left_out], h[left_out] = 0.0, -1.0
+        elif left_out is not None:
+            merge_rows(columns, h, left_out)
         return Block(stop - h.size, stop, segment, h, columns)
-
-    @property
-    def _known_scale_factor(self) -> float:
-        """K that is already subtracted from the observations; 0 if K is estimated."""
-        return 0.0 if self.estimates_scale_factor else float(self.run.scale_factor)
 
     def _bows(self, first: int, stop: int) -> Array | None:
         """Curvature corrections ("bows") of force and base rate (6, n), intervals ``first`` to ``stop - 1``; None if all are zero.
@@ -296,12 +284,6 @@ class Design:
         for bow, samples in zip(bows, inputs, strict=False):
             smooth_bows(np.ascontiguousarray(samples), h, before, after, share, bend, bow)
         return bows[:, first - low : stop - 1 - low] if bows.any() else None
-
-    def _leave_out(self, columns: Array, h: Array, left_out: NDArray[np.bool_]) -> None:
-        if self.point:
-            columns[:, left_out], h[left_out] = 0.0, -1.0
-        else:
-            merge_rows(columns, h, left_out)
 
     def _observation(self, start: int, stop: int, first: int) -> tuple[Array, Array]:
         """Interval lengths (0 without an increment), and the observed increment of psi plus base rotation."""
@@ -324,58 +306,50 @@ class Design:
         y[h == 0.0] = 0.0
         return h, y
 
-    def _fill_local(
-        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
-    ) -> None:
-        if not self.local_names:
-            return
-        psi = np.ascontiguousarray(self.phase_angle[window])
-        x, y, z = self._turning(window, force)
+    def _fill_local(self, columns: Array, window: slice, h: Array, bows: Array | None) -> None:
+        psi, force = self.phase_angle[window], self._force[:, window]
+        if self.run.base_rate is not None:  # u/K: specific force less base rate over K [m/s^2]
+            force = force - self.run.base_rate[window].T / self.scale_factor
+        turned = columns
+        if self.point:  # each sample is both ends of an interval of one second
+            psi, force = psi.repeat(2), force.repeat(2, axis=1)
+            h = np.tile((1.0, 0.0), h.size)[:-1]
+            turned = np.empty((len(columns), h.size))
+        x, y, z = np.ascontiguousarray(force)
         bend = -self.scale_factor / 8.0 * h * np.diff(x)
-        count = len(self.local_names)
-        turned = np.empty((count, h.size)) if self.point else columns[:count]
         straight, row = np.zeros((2, h.size)), 0
         if "p" in self.local_names:
             across = straight if bows is None else bows[1:3] - bows[4:6] / self.scale_factor
             coupling_columns(psi, y, z, across, h, bend, 1.0, turned[:2])
             row = 2
-        for order in self.request.harmonics:
+        for order in self._orders:
             one = np.ones(psi.size), np.zeros(psi.size)
             coupling_columns(psi, *one, straight, h, bend, float(order), turned[row : row + 2])
             row += 2
-        if row < count:
+        if row < len(columns):
             held = np.empty((len(PHASELESS), h.size))
             servo_columns(psi, x, y, z, h, bend, held)
             turned[row:] = held[[PHASELESS.index(name) for name in self.local_names[row:]]]
         if self.point:
-            columns[:count] = self._every(turned)
+            columns[:] = turned[:, ::2]
 
-    def _turning(self, window: slice | NDArray[np.int64], force: Array) -> Array:
-        """``u/K`` (3, n): specific force less base rate over K [m/s^2]."""
-        if self.run.base_rate is None:
-            return force
-        return np.ascontiguousarray(force - self.run.base_rate[window].T / self.scale_factor)
-
-    def _fill_shared(
-        self, columns: Array, window: slice | NDArray[np.int64], force: Array, h: Array, bows: Array | None
-    ) -> None:
-        t = self.run.t[window] - self.time_reference
-        warm = self.run.temperature
-        temperature = t if warm is None else warm[window] - self.request.temperature_reference
-        vibration = NONE if self.run.vibration is None else self.run.vibration[window]
-        held = np.empty(h.size)
-        for row, name in enumerate(self.shared_names, start=len(self.local_names)):
-            factors = PRODUCTS[name]
-            out = held if self.point else columns[row]
-            product_column(factors, t, force, temperature, h, out, vibration)
-            if bows is not None:
-                add_product_bows(factors, t, force, bows, temperature, h, out)
-            if self.point:
-                columns[row] = self._every(out)
-
-    def _every(self, column: Array) -> Array:
-        """For a rate log, every second interval: these are the samples, and the others join two samples."""
-        return column[..., ::2] if self.point else column
+    def _fill_shared(self, columns: Array, window: slice, h: Array, bows: Array | None) -> None:
+        run = self.run
+        samples = dict(zip("xyz", self._force[:, window], strict=True))
+        samples["t"] = run.t[window] - self.time_reference
+        if run.temperature is not None:
+            samples["T"] = run.temperature[window] - self.request.temperature_reference
+        if run.vibration is not None:
+            samples["v"] = run.vibration[window]
+        if self.point:
+            for column, name in zip(columns, self.shared_names, strict=True):
+                column[:] = product_at(PRODUCTS[name], samples)
+            return
+        middles = {name: 0.5 * (values[1:] + values[:-1]) for name, values in samples.items()}
+        for name, bow in zip("xyz", () if bows is None else bows, strict=False):
+            middles[name] += 1.5 * bow
+        for column, name in zip(columns, self.shared_names, strict=True):
+            product_column(PRODUCTS[name], samples, middles, h, column)
 
     def _check_bend(self) -> None:
         if not self.turning_names or self.point:

@@ -1,14 +1,25 @@
-"""What a record can determine, in words: rank, condition, confounded terms, useless estimates."""
+"""What a record can determine, in words: rank, condition, confounded terms, useless estimates.
+
+Servo terms turn with the output angle. Five columns without a phase span them; their coefficients follow from the terms and the
+phase (:class:`piga.calibration.model.solution.Layout`; docs/understanding/servo).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piga.calibration.model.reduction import Reduction
-from piga.calibration.model.solution import Layout, at_phase
+from piga.calibration.model.solution import (
+    PHASELESS,
+    STIFFNESS_COLUMNS,
+    Estimate,
+    Layout,
+    at_phase,
+    solve_parts,
+)
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.calibration.diagnostics import SCATTER, SegmentScatter
@@ -18,72 +29,61 @@ from piga.results import Array
 from piga.terms import PRODUCTS
 from piga.units import G0
 
-RANK = 1e-9
+_RANK = 1e-9
 """Smallest singular value of the column-scaled factor, relative to the largest, that counts as information."""
-NAMED_WEIGHT = 0.3
+_NAMED_WEIGHT = 0.3
 """Weight in a null direction, relative to the largest, above which a term is named."""
+_SEPARATE = 1e-3
+"""Smallest independent part of a servo term's column, relative to its size, for the term to be determined."""
+_NAMED_SHARE = 0.05
+"""Least share of that column for which another term is named."""
 _USELESS = 0.05
 """Uncertainty, as a fraction of the record's largest specific force, above which an estimate is no result."""
 _ALIKE = 0.95
 """Correlation above which coefficients are reported as hard to tell apart."""
-
-
 _POSITIONS = 4
-"""Fewest positions."""
+"""Fewest positions of a head whose direction is told."""
 _SAME_SIZE = 0.05
 """Largest relative difference of the specific forces of a head."""
 _MOVE = 1e-3
 """Least turn between positions that counts as a move [rad]."""
 
-
-_LEVEL = frozenset({"scale_factor", "k0"})
-
-_PAIRS: tuple[tuple[frozenset[str], str], ...] = (
-    (_LEVEL, "a_x never changes: add positions or levels with another a_x"),
-    (frozenset({"k0", "k1"}), "a_x never changes: add positions or levels with another a_x"),
-    (frozenset({"k0", "k2"}), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out"),
-    (frozenset({"k2", "k2o"}), "a_x keeps its sign: add levels with a_x of the other sign, or leave k2o out"),
-    (
-        frozenset({"scale_factor", "k1a"}),
-        "a_x keeps its sign: add levels with a_x of the other sign, or leave k1a out",
-    ),
-    (frozenset({"k0", "k1a"}), "|a_x| never changes: add levels with another |a_x|, or leave k1a out"),
-    (frozenset({"k2", "k1a"}), "|a_x| takes too few values: add levels, or leave k1a out"),
-    (frozenset({"scale_factor", "k3"}), "|a_x| takes too few values: add levels, or leave k3 out"),
-)
-"""Explanation for a record that cannot tell exactly these two terms apart."""
-
-_REMEDIES: tuple[tuple[frozenset[str], str], ...] = (
-    (
-        frozenset({"k0", "k2", "k_YY"}),
-        "a one-plane tumble has a_x^2 + a_Y^2 = g^2: leave k_YY out",
-    ),
-    (
-        frozenset({"tan_beta"}),
-        "the gimbal does not turn enough, or there is no transverse force: add revolutions",
-    ),
-)
-"""Remedy if a record cannot tell these terms apart from others."""
-
 _OF_A_X = tuple(name for name, factors in PRODUCTS.items() if {*factors} <= {"x", "|x|"})
 """Terms that depend on a_x alone. The record needs at least as many different a_x as such terms."""
 
-_HELPING_RUNS: tuple[tuple[frozenset[str], str], ...] = (
-    (frozenset({"k0", "k2", "k_YY"}), "a run on a centrifuge or a vibration table (a_x changes, a_Y does not)"),
-    (frozenset({"k0", "k2", "k_ZZ"}), "a run on a centrifuge or a vibration table (a_x changes, a_Z does not)"),
-    (frozenset({"scale_factor", "k0"}), "a run on a dividing head (a_x of both signs)"),
-    (frozenset({"k0", "k1"}), "a run on a dividing head (a_x of both signs)"),
-    (frozenset({"k2", "k2o"}), "a run on a dividing head (a_x of both signs)"),
-    (frozenset({"k0", "k2"}), "a run on a centrifuge (|a_x| of many sizes)"),
-    (frozenset({"scale_factor", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
-    (frozenset({"k1", "k3"}), "a run on a centrifuge (|a_x| of many sizes)"),
-    (frozenset({"m_Y"}), "a run on a dividing head that turns in the plane X0 Y0"),
-    (frozenset({"m_Z"}), "a run on a dividing head that turns in the plane X0 Z0"),
-    (frozenset({"tan_beta"}), "a run on a dividing head (transverse force while the gimbal turns)"),
-    (frozenset({"k_YY"}), "a run on a dividing head that turns in the plane X0 Y0"),
-    (frozenset({"k_ZZ"}), "a run on a dividing head that turns in the plane X0 Z0"),
+_BOTH_SIGNS = "a run on a dividing head (a_x of both signs)"
+_ANY_SIZE = "a run on a centrifuge (|a_x| of many sizes)"
+_LEVEL = "a_x never changes: add positions or levels with another a_x"
+_ONE_SIGN = "a_x keeps its sign: add levels with a_x of the other sign, or leave {} out"
+_FEW = "|a_x| takes too few values: add levels, or leave {} out"
+_OTHERS = "leave one of these terms out, or record other positions, levels or temperatures"
+_IN_PLANE = "a run on a dividing head that turns in the plane X0 "
+_FORCED = "a run on a centrifuge or a vibration table (a_x changes, a_{} does not)"
+_TUMBLE = "a one-plane tumble has a_x^2 + a_{}^2 = g^2: leave k_{}{} out"
+
+_REMEDIES: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    (("k0", "k2", "k_YY"), _TUMBLE.format(*"YYY"), _FORCED.format("Y")),
+    (("k0", "k2", "k_ZZ"), _TUMBLE.format(*"ZZZ"), _FORCED.format("Z")),
+    (("scale_factor", "k0"), _LEVEL, _BOTH_SIGNS),
+    (("k0", "k1"), _LEVEL, _BOTH_SIGNS),
+    (("k2", "k2o"), _ONE_SIGN.format("k2o"), _BOTH_SIGNS),
+    (("scale_factor", "k1a"), _ONE_SIGN.format("k1a"), _BOTH_SIGNS),
+    (("k0", "k2"), "a_x^2 never changes: add levels with another |a_x|, or leave k2 out", _ANY_SIZE),
+    (("k0", "k1a"), "|a_x| never changes: add levels with another |a_x|, or leave k1a out", _ANY_SIZE),
+    (("k2", "k1a"), _FEW.format("k1a"), _ANY_SIZE),
+    (("scale_factor", "k3"), _FEW.format("k3"), _ANY_SIZE),
+    (("k1", "k3"), _FEW.format("k3"), _ANY_SIZE),
+    (("m_Y",), _OTHERS, _IN_PLANE + "Y0"),
+    (("m_Z",), _OTHERS, _IN_PLANE + "Z0"),
+    (
+        ("tan_beta",),
+        "the gimbal does not turn enough, or there is no transverse force: add revolutions",
+        "a run on a dividing head (transverse force while the gimbal turns)",
+    ),
+    (("k_YY",), _OTHERS, _IN_PLANE + "Y0"),
+    (("k_ZZ",), _OTHERS, _IN_PLANE + "Z0"),
 )
-"""Runs that tell terms apart, most specific first."""
+"""Terms, remedy of a record that cannot tell them apart, and a run that helps, most specific first."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Examination:
     asked: tuple[str, ...] = ()
 
 
-def term_of(column: str) -> str:
+def _term_of(column: str) -> str:
     """The term of a linear column; ``p`` and ``q`` belong to the coupling."""
     return "tan_beta" if column in ("p", "q") else column
 
@@ -117,22 +117,22 @@ def examine_parts(layout: Layout, parts: list[Reduction], phases: Sequence[float
     factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)
     zero = [
-        term_of(name)
+        _term_of(name)
         for name, norm in zip(names, norms, strict=True)
         if norm <= 1e-14 * max(norms.max(), 1e-300)
     ]
-    asked = tuple(dict.fromkeys(map(term_of, names)))
+    asked = tuple(dict.fromkeys(map(_term_of, names)))
     if zero:
         return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
     _, singular, right = np.linalg.svd(factor / norms)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    if singular[-1] > RANK * singular[0]:
+    if singular[-1] > _RANK * singular[0]:
         return Examination(condition, (), asked)
-    weights = np.linalg.norm(right[singular <= RANK * singular[0]], axis=0)
+    weights = np.linalg.norm(right[singular <= _RANK * singular[0]], axis=0)
     named = [
-        term_of(name)
+        _term_of(name)
         for name, weight in zip(names, weights, strict=True)
-        if weight > NAMED_WEIGHT * weights.max()
+        if weight > _NAMED_WEIGHT * weights.max()
     ]
     return Examination(condition, tuple(dict.fromkeys(named)), asked)
 
@@ -159,39 +159,105 @@ def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:
     IdentifiabilityError
         Names the terms and a test or run that would separate them.
     """
-    if examination.null_terms:
-        terms, asked = (
-            {name.split("[", maxsplit=1)[0] for name in names}
-            for names in (examination.null_terms, examination.asked)
-        )
-        listed = ", ".join(sorted(examination.null_terms))
-        verb = "cannot determine" if len(examination.null_terms) == 1 else "cannot separate"
-        subject = "this record" if runs == 1 else f"these {runs} runs together"
+    null = examination.null_terms
+    if null:
+        terms, asked = ({name.split("[")[0] for name in names} for names in (null, examination.asked))
         remedy = _remedy(terms, asked, runs)
-        if any("[" in name and not name.startswith("phi") for name in examination.null_terms):
+        if any("[" in name and not name.startswith("phi") for name in null):
             remedy += "; or let the runs share a term: leave it out of per_run ([] for none)"
-        raise IdentifiabilityError(f"{subject} {verb} {listed}", remedy=remedy, terms=examination.null_terms)
+        raise _not_separated(tuple(sorted(null)), runs, remedy, null)
+
+
+def _not_separated(
+    listed: tuple[str, ...], runs: int, remedy: str, terms: tuple[str, ...]
+) -> IdentifiabilityError:
+    """The error of a record, or of ``runs`` together, that cannot determine terms."""
+    subject = "this record" if runs == 1 else f"these {runs} runs together"
+    verb = "cannot determine" if len(listed) == 1 else "cannot separate"
+    return IdentifiabilityError(f"{subject} {verb} {', '.join(listed)}", remedy=remedy, terms=terms)
 
 
 def _remedy(terms: set[str], asked: set[str], runs: int = 1) -> str:
     """Remedy for ``terms`` that cannot be separated; ``asked`` are all requested terms."""
-    helping = next((text for members, text in _HELPING_RUNS if members <= terms), None)
+    known = [(words, helping) for members, words, helping in _REMEDIES if terms.issuperset(members)]
+    words, helping = known[0] if known else (_OTHERS, "")
     if runs > 1:
         return f"add {helping}" if helping else "leave one of these terms out, or add a run of another kind"
     powers = [name for name in _OF_A_X if name in asked]
-    fitting = [text for members, text in _PAIRS if members == terms and (members != _LEVEL or len(powers) == 2)]
-    if not fitting and len(powers) > 2 and terms <= set(powers):
+    if len(powers) > 2 and terms <= set(powers):
         other = "" if "k0" in powers else " other than zero"
         words = (
             f"a_x takes too few values: {', '.join(powers)} together need at least {len(powers)} different ones{other}; "
             "add positions or levels with another a_x, or leave terms out"
         )
-        fitting = [words]
         helping = "a run that has other values of a_x, on a dividing head or a centrifuge"
-    fitting += [text for members, text in _REMEDIES if members <= terms]
-    if not fitting:
-        fitting = ["leave one of these terms out, or record other positions, levels or temperatures"]
-    return fitting[0] + (f"; or calibrate it together with {helping}" if helping else "")
+    return words + (f"; or calibrate it together with {helping}" if helping else "")
+
+
+def refuse_if_servo_alike(layout: Layout, parts: list[Reduction], *, per_segment: bool, runs: int) -> None:
+    """Raise if the parts cannot separate a servo term from the other terms.
+
+    The mean of ``servo`` is tested without its second harmonic. The harmonic exists, but an error of the read-out at
+    twice the turn would look like it. ``per_segment`` and ``runs`` are for the message.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Names the terms and the test that separates them.
+    """
+    plain = replace(layout, servo=(), given=())
+    names = [tuple(name for name in part.names if name not in PHASELESS) for part in parts]
+    rest = [part.select(own) for part, own in zip(parts, names, strict=True)]
+    refuse_if_confounded(examine_parts(plain, rest), runs)
+    estimate = solve_parts(plain, rest)
+    for term in layout.servo:
+        factors = [
+            part.select((*own, STIFFNESS_COLUMNS[0])).factor
+            if term == "servo"
+            else at_phase(part, (*own, term), phase).factor
+            for part, own, phase in zip(parts, names, estimate.phases.tolist(), strict=True)
+        ]
+        alike = _made_of(plain, estimate, factors)
+        if alike:
+            terms = (*alike, term)
+            raise _not_separated(terms, runs, _servo_remedy(set(terms), per_segment), terms)
+
+
+def _made_of(layout: Layout, estimate: Estimate, factors: list[Array]) -> tuple[str, ...]:
+    """Terms whose columns, with free phases, combine to the last column of ``[model | column | y]``; empty if a part remains."""
+    rows = np.vstack([f[:, :-2] @ j for f, j in zip(factors, estimate.jacobians, strict=True)])
+    column = np.concatenate([factor[:, -2] for factor in factors])
+    scale, size = np.linalg.norm(rows, axis=0), float(np.linalg.norm(column))
+    scale[scale == 0.0] = 1.0
+    share = np.linalg.lstsq(rows / scale, column, rcond=1e-9)[0]
+    if np.linalg.norm(column - rows / scale @ share) > _SEPARATE * size:
+        return ()
+    names = [name for name, _ in layout.amplitude_keys] + ["tan_beta"] * estimate.phases.size
+    named = (n for n, part in zip(names, share, strict=True) if abs(part) > _NAMED_SHARE * size)
+    return tuple(dict.fromkeys(named)) or ("tan_beta",)
+
+
+def _servo_remedy(terms: set[str], per_segment: bool) -> str:
+    """The test that separates these terms, or what to leave out."""
+    if "servo_damping" in terms:
+        if per_segment:
+            return (
+                "with one phase per segment, phi takes up the whole effect of the damping: use phases = "
+                "'shared', or leave servo_damping out"
+            )
+        return "|a_x| has one size only: add positions or levels with another |a_x|, or leave servo_damping out"
+    if "k3" in terms:
+        return (
+            "a_x^2 + a_t^2 never changes, so a_x a_t^2 cannot be separated from a_x less a_x^3: leave "
+            "'k3' out (or 'servo'; K differs by k3 g^2); or calibrate it together with a run on a "
+            "centrifuge or a vibration table (a_x changes, a_t does not)"
+        )
+    if terms & {"scale_factor", "k1"}:
+        return (
+            "a_t never changes, so a_x a_t^2 cannot be separated from a_x: calibrate it together with a "
+            "run on a dividing head, give [instrument] servo, or leave servo out"
+        )
+    return "add positions or levels with another a_x and another transverse force, or leave servo out"
 
 
 def refuse_useless(
@@ -220,16 +286,10 @@ def refuse_useless(
         )
         raise IdentifiabilityError(
             f"this record does not determine {', '.join(c.key for c, _ in bad)}: {listed}",
-            remedy=_useless_remedy({c.name for c, _ in bad}, {c.name for c in coefficients}),
+            remedy=_remedy({c.name for c, _ in bad}, {c.name for c in coefficients} - {"phi"})
+            .replace("never changes", "hardly changes")
+            .replace("too few values", "too few or too close values"),
         )
-
-
-def _useless_remedy(terms: set[str], asked: set[str]) -> str:
-    """Remedy for terms that the record can hardly separate."""
-    text = _remedy(terms, asked - {"phi"})
-    return text.replace("never changes", "hardly changes").replace(
-        "too few values", "too few or too close values"
-    )
 
 
 def _full_scale(coefficient: Coefficient, largest: float, duration: float, spread: float) -> float:
@@ -247,23 +307,16 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
 
 def scatter_in_words(scatter: SegmentScatter, *, direct: bool = False) -> tuple[str, ...]:
     """Doubt about mean rates that scatter more than the noise explains. ``direct``: the instrument has no gimbal."""
-    notes = []
-    force, own = scatter.segment_scatter_g or 0.0, "instrument" if direct else "servo"
-    ratio, without_it = scatter.segment_scatter_ratio or 0.0, scatter.segment_scatter_ratio_without_it or 0.0
-    if ratio > SCATTER:
-        notes.append(
-            f"the mean rates of the segments scatter {ratio:.1f} times more than the noise explains "
-            f"({force * 1e6:.2g} ug rms): the stand or the {own} has an effect that the model lacks; the "
-            "standard uncertainties include the scatter, but not what is the same at every visit of a position"
-        )
-    elif without_it > SCATTER:
-        notes.append(
-            f"the mean rates of the segments scatter {without_it:.1f} times more than the noise of the "
-            f"{'output' if direct else 'angle'} explains ({force * 1e6:.2g} ug rms): the standard uncertainties include this "
-            f"scatter, but an effect of the stand or of the {own} that is the same at every visit of a "
-            "position does not average out"
-        )
-    return tuple(notes)
+    if scatter.worst <= SCATTER:
+        return ()
+    force, own = 1e6 * (scatter.segment_scatter_g or 0.0), "instrument" if direct else "servo"
+    words = (
+        f"the mean rates of the segments scatter {scatter.worst:.1f} times more than the noise of the "
+        f"{'output' if direct else 'angle'} explains ({force:.2g} ug rms): the standard uncertainties include this "
+        f"scatter, but an effect of the stand or of the {own} that is the same at every visit of a "
+        "position does not average out"
+    )
+    return (words,)
 
 
 def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> list[str]:
@@ -271,7 +324,7 @@ def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> 
     plain = [i for i, c in enumerate(coefficients) if c.name != "phi"]
     std = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(std, std))
-    notes, left = [], list(plain)
+    notes, left = [], plain.copy()
     while left:
         group = [left.pop(0)]
         for i in group:
@@ -287,29 +340,16 @@ def alike_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -> 
     return notes
 
 
-def _loose(coefficients: tuple[Coefficient, ...]) -> list[str]:
-    """Segments with an undetermined phase."""
-    return [c.segment for c in coefficients if c.segment is not None and not c.determined]
-
-
 def one_way_in_words(run: Run, terms: tuple[str, ...]) -> tuple[str, ...]:
-    """A remark of the plan if a head turned one way only: hysteresis then looks like ``m_Y`` or ``m_Z``.
-
-    The direction comes from the mean specific forces of the segments in order, in the plane that they lie in.
-    """
+    """A remark of the plan if a head turned one way only: hysteresis then looks like ``m_Y`` or ``m_Z``."""
     held = [name for name in ("m_Y", "m_Z") if name in terms]
-    if not held or len(run.labels) < _POSITIONS:
+    first = run.segment_edges()[:-1]
+    middle = (first + run.segment_edges()[1:]) // 2
+    f, size = run.f[middle], np.linalg.norm(run.f[middle], axis=1)
+    if not held or first.size < _POSITIONS or np.ptp(size) > _SAME_SIZE * size.max():
         return ()
-    count = np.bincount(run.segment_index, minlength=len(run.labels))
-    if np.count_nonzero(count) < _POSITIONS:
-        return ()
-    sums = np.stack([np.bincount(run.segment_index, run.f[:, axis], len(run.labels)) for axis in range(3)])
-    mean = (sums[:, count > 0] / count[count > 0]).T
-    size = np.linalg.norm(mean, axis=1)
-    if np.ptp(size) > _SAME_SIZE * size.max():
-        return ()
-    plane = np.linalg.svd(mean - mean.mean(axis=0))[2][:2]
-    steps = short_way(np.diff(np.arctan2(*(mean @ plane.T).T)))
+    plane = np.linalg.svd(f - f.mean(axis=0))[2][:2]
+    steps = short_way(np.diff(np.arctan2(*(f @ plane.T).T)))
     moves = steps[np.abs(steps) > _MOVE]
     if moves.size < _POSITIONS - 1 or abs(np.sign(moves).sum()) < moves.size:
         return ()
@@ -329,7 +369,7 @@ def remarks_in_words(coefficients: tuple[Coefficient, ...], covariance: Array) -
             "tan_beta respect that a size cannot be negative: the lower one is 0 if an instrument "
             "without coupling would give this estimate as often"
         )
-    loose = _loose(coefficients)
+    loose = [c.segment for c in coefficients if c.segment is not None and not c.determined]
     if loose:
         sentences.append(
             f"phi is not determined in segment {', '.join(map(str, loose))}: no transverse force there, or the gimbal hardly turns"

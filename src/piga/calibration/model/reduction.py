@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from piga.errors import ArgumentError
 from piga.results import Array
@@ -52,9 +51,19 @@ class Reduction:
 
     @classmethod
     def stacked(cls, parts: Sequence[Reduction]) -> Reduction:
-        """Triangle of the rows of several triangles with the same columns; ``parts`` is not empty."""
+        """Triangle of the rows of several triangles with the same columns; ``parts`` is not empty.
+
+        Raises
+        ------
+        ArgumentError
+            If the columns differ.
+        """
         for part in parts:
-            parts[0].check_alike(part)
+            if part.names != parts[0].names:
+                raise ArgumentError(
+                    f"summaries of different columns: {parts[0].names} and {part.names}",
+                    remedy="merge summaries that were made with the same terms",
+                )
         rows = np.vstack([part.factor for part in parts])
         return cls.of_rows(parts[0].names, rows, sum(part.count for part in parts))
 
@@ -71,31 +80,6 @@ class Reduction:
         blocks = (columns[:, start : start + BLOCK].T for start in range(0, columns.shape[1], BLOCK))
         self.factor = triangle(np.vstack([self.factor, *map(triangle, blocks)]))
         self.count += columns.shape[1] if count is None else count
-
-    def add(self, x: ArrayLike, y: ArrayLike) -> None:
-        """Absorb rows ``x`` (n, m) and ``y`` (n,)."""
-        rows = np.column_stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)])
-        self.absorb(rows.T)
-
-    def merge(self, other: Reduction) -> None:
-        """Absorb another triangle of the same columns."""
-        self.check_alike(other)
-        self.factor = triangle(np.vstack([self.factor, other.factor]))
-        self.count += other.count
-
-    def check_alike(self, other: Reduction) -> None:
-        """Check that another triangle has the same columns.
-
-        Raises
-        ------
-        ArgumentError
-            If it has not.
-        """
-        if other.names != self.names:
-            raise ArgumentError(
-                f"summaries of different columns: {self.names} and {other.names}",
-                remedy="merge summaries that were made with the same terms",
-            )
 
     def select(self, names: tuple[str, ...]) -> Reduction:
         """The triangle for some of the columns, as if the other columns had never existed."""
@@ -125,10 +109,6 @@ class Reduction:
         rows[:, -1] -= multiple * rows[:, self.names.index(name)]
         return self.of_rows(self.names, rows, self.count)
 
-    def scaled(self, information: float) -> Reduction:
-        """The triangle of the same rows with ``information`` times the weight."""
-        return Reduction(self.names, self.factor * math.sqrt(information), self.count)
-
     def solve(self) -> tuple[Array, Array, float]:
         """Estimate (m,), inverse information matrix (m, m) and residual sum of squares.
 
@@ -144,8 +124,8 @@ class Reduction:
         if m and (scale == 0.0).any():
             raise np.linalg.LinAlgError("a column is zero")
         scaled = self.factor[:m, :m] / scale
-        inverse = solve_upper(scaled, np.eye(m)) / scale[:, None]
-        estimate = solve_upper(scaled, self.factor[:m, m]) / scale
+        inverse = np.linalg.solve(scaled, np.eye(m)) / scale[:, None]
+        estimate = np.linalg.solve(scaled, self.factor[:m, m]) / scale
         return estimate, inverse @ inverse.T, float(self.factor[m, m] ** 2)
 
 
@@ -154,15 +134,4 @@ def triangle(rows: Array) -> Array:
     factor = np.linalg.qr(rows, mode="r")
     result = np.zeros((rows.shape[1], rows.shape[1]))
     result[: len(factor)] = factor * np.where(np.diag(factor) < 0.0, -1.0, 1.0)[:, None]
-    return result
-
-
-def solve_upper(R: Array, right: Array) -> Array:
-    """Solve ``R x = right`` for upper triangular R by back substitution."""
-    if not np.all(np.diag(R)):
-        raise np.linalg.LinAlgError("singular triangular factor")
-    result = np.array(right, dtype=float, copy=True)
-    for row in range(R.shape[0] - 1, -1, -1):
-        result[row] -= R[row, row + 1 :] @ result[row + 1 :]
-        result[row] /= R[row, row]
     return result

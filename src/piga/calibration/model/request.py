@@ -40,16 +40,6 @@ class Request:
     temperature_reference: float
     per_run: tuple[str, ...] | None = None
 
-    @property
-    def harmonics(self) -> tuple[int, ...]:
-        """Orders of the wanted harmonics of the output angle."""
-        return harmonics_of(self.terms)
-
-    @property
-    def shared_terms(self) -> tuple[str, ...]:
-        """Terms whose regressor does not depend on the phase."""
-        return shared_of(self.terms)
-
 
 def harmonics_of(terms: tuple[str, ...]) -> tuple[int, ...]:
     """Orders of the harmonics of the output angle among terms."""

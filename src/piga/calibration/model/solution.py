@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.model.reduction import Reduction, solve_upper
+from piga.calibration.model.reduction import Reduction
 from piga.errors import CalibrationError
-from piga.records.calibration.coefficient import Coefficient
+from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.terms import GYRO, si_factor, unit_of
 from piga.results import Array
 
@@ -51,13 +51,17 @@ def phaseless_columns(terms: Sequence[str]) -> tuple[str, ...]:
     return tuple(column for name, columns in _SPANNED.items() if name in terms for column in columns)
 
 
+def _waves(order: int, phases: Array, derivative: int) -> tuple[Array, Array]:
+    """Cosine and sine of ``order`` times the phases, or a derivative of them by the phase."""
+    turned = order * phases + derivative * 0.5 * math.pi
+    return order**derivative * np.cos(turned), order**derivative * np.sin(turned)
+
+
 def servo_rows(phases: Array, derivative: int = 0) -> dict[str, Array]:
     """Coefficients of the columns of each servo term at phases (.., columns) for a term of one, or a derivative by the phase."""
     rows = {}
     for name, order in (("servo", 2), ("servo_damping", 1)):
-        cosine, sine = np.cos(order * phases), np.sin(order * phases)
-        for _ in range(derivative):
-            cosine, sine = -order * sine, order * cosine
+        cosine, sine = _waves(order, phases, derivative)
         mean = np.full_like(cosine, 0.0 if derivative else -1.0)
         rows[name] = np.stack([mean, cosine, -sine] if name == "servo" else [-cosine, -sine], axis=-1)
     return rows
@@ -95,12 +99,6 @@ class Layout:
     tails: tuple[NDArray[np.int64], ...]
     servo: tuple[str, ...] = ()
     given: tuple[tuple[str, float], ...] = ()
-
-    @classmethod
-    def of_one(cls, coupled: bool, orders: tuple[int, ...], terms: Sequence[str], groups: int = 1) -> Layout:
-        """The layout of one run: every shared term is one parameter in all ``groups``."""
-        keys = tuple((name, None) for name in terms)
-        return cls(coupled, orders, keys, (np.arange(len(keys)),) * groups)
 
     def with_servo_among_keys(self) -> Layout:
         """The layout of columns that are combined at a phase: the servo terms are shared columns."""
@@ -145,9 +143,7 @@ class Layout:
         """Coefficients of the local columns (.., local) at phases (..), or a derivative of them by the phase."""
         columns: list[Array] = []
         for order in (*((1,) if self.coupled else ()), *self.orders):
-            cosine, sine = np.cos(order * phases), np.sin(order * phases)
-            for _ in range(derivative):
-                cosine, sine = -order * sine, order * cosine
+            cosine, sine = _waves(order, phases, derivative)
             at = len(columns)
             if self.coupled and at == 0:
                 columns += [amplitudes[0] * cosine, amplitudes[0] * sine]
@@ -497,7 +493,7 @@ def _inverse_information(R: Array, first_phase: int) -> Array:
     if np.abs(np.diag(r)).min() < 1e-13:
         known = np.linalg.pinv(r.T @ r, rcond=1e-13) / np.outer(scale, scale)
     else:
-        inverse = solve_upper(r, np.eye(r.shape[0]))
+        inverse = np.linalg.solve(r, np.eye(r.shape[0]))
         known = inverse @ inverse.T / np.outer(scale, scale)
     covariance = np.diag(np.full(seen.size, np.pi**2 / 3.0))
     covariance[np.ix_(seen, seen)] = known
@@ -567,12 +563,7 @@ def _make_tangent_positive(layout: Layout, values: Array, jacobian: Array) -> No
         for index, (name, _) in enumerate(layout.amplitude_keys):
             if name == "servo_damping":
                 values[index], jacobian[index] = -values[index], -jacobian[index]
-    values[layout.size :] = _principal(values[layout.size :])
-
-
-def _principal(phase: ArrayLike) -> Array:
-    """Phases [rad] in (-pi, pi]."""
-    return np.pi - np.mod(np.pi - np.asarray(phase), 2.0 * np.pi)
+    values[layout.size :] = short_way(values[layout.size :])
 
 
 def asked_order(layout: Layout, terms: tuple[str, ...], phases: int) -> list[int]:

@@ -122,7 +122,6 @@ class CalibrationPlots:
     orders = _figure("orders", "Ripple that the residuals show, against revolution order.")
     ripple = _figure("ripple", "Ripple around the turn of the output: two panels.")
     segments = _figure("segments", "Residuals of each segment.")
-    creep = _figure("creep", "Residual rate against the time since the start of the position.")
     allan = _figure("allan", "Allan deviation of the residual rate, with the noise of the model.")
     whiteness = _figure("whiteness", "Tests of the whitened residual.")
 

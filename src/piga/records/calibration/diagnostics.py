@@ -204,8 +204,6 @@ class Creep(Result):
     ``size`` is the bias at the start [g]. With ``by_move`` it is proportional to the change of a_x by the move, and this is its
     size for 1 g. ``time_constant`` is the likeliest of a few [s], ``probability`` that of such a creep by chance, for all sizes
     and times that were tried. ``shift`` is the change of each coefficient without the creep, in its standard uncertainties.
-    ``mean`` is the residual rate over K [g], less that of its position, at ``time`` [s] since the start, over the positions;
-    ``band`` the half width of its 95 % interval by their scatter.
     """
 
     size: Number
@@ -214,9 +212,6 @@ class Creep(Result):
     by_move: bool
     probability: Probability
     shift: dict[str, Number]
-    time: tuple[Number, ...]
-    mean: tuple[Number, ...]
-    band: tuple[Level, ...]
 
     @property
     def seen(self) -> bool:

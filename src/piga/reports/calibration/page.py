@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.fit import lagged_products
-from piga.calibration.orders import OrderSpectrum, order_spectrum, residual_angles, ripple, segment_slices
+from piga.calibration.residuals import lagged_products, residual_angles
 from piga.errors import CalibrationError
 from piga.noise.deviations import NoiseLevel, allan_deviation
+from piga.noise.orders import OrderSpectrum, order_spectrum, ripple, segment_slices
 from piga.records.calibration.calibration import Calibration
 from piga.records.calibration.coefficient import NO_REFERENCE
 from piga.records.calibration.diagnostics import COUNTED, Residuals
@@ -50,7 +50,7 @@ _SHOWN, _OUTLINE = 1 << 20, 50_000
 
 def figures(cal: Calibration) -> dict[str, Callable[[], Figure]]:
     """The figures by name. One that the calibration has no data for is refused when it is called."""
-    names = ("residuals", "orders", "ripple", "segments", "creep", "allan", "whiteness")
+    names = ("residuals", "orders", "ripple", "segments", "allan", "whiteness")
     return {name: partial(_figure, cal, name) for name in names}
 
 
@@ -58,7 +58,7 @@ def _figure(cal: Calibration, name: str) -> Figure:
     if (drawn := calibration_figures(cal, name).get(name)) is None:
         raise CalibrationError(
             f"plot.{name}: this calibration has no data for the figure",
-            remedy="calibrate a record in this process: calibration.json holds no residuals; creep needs five positions",
+            remedy="calibrate a record in this process: calibration.json holds no residuals",
         )
     return drawn
 
@@ -70,7 +70,6 @@ def calibration_figures(cal: Calibration, *names: str) -> dict[str, Figure]:
     """
     made: dict[str, Callable[[], Figure | None]] = {
         "segments": partial(segment_figure, cal),
-        "creep": partial(creep_figure, cal),
     }
     if cal.residuals is not None and cal.residuals.t.size:
         part = _leading_part(cal.residuals)
@@ -199,7 +198,7 @@ def _sections(cal: Calibration, shown: dict[str, Figure]) -> tuple[Section, ...]
         _coefficients(cal),
         Section("Residuals against time", "residuals", (shown.get("residuals", _MISSING),)),
         *([] if cal.direct else [Section("Residuals against rotation", "rotation", turned or (_NO_TURN,))]),
-        Section("Segments", "segments", (shown.get("segments"), shown.get("creep"), tables.segment_table(cal))),
+        Section("Segments", "segments", (shown.get("segments"), tables.segment_table(cal))),
         _budget(cal),
         _identifiability(cal, shown),
         *tables.comparison_sections(cal),
@@ -548,7 +547,7 @@ def _whiteness_figure(residuals: Residuals, verdict: str | None) -> Figure | Non
     )
 
 
-# -- segments and creep -----------------------------------------------------------------------------------
+# -- segments ---------------------------------------------------------------------------------------------
 
 
 def segment_figure(cal: Calibration) -> Figure | None:
@@ -570,23 +569,4 @@ def segment_figure(cal: Calibration) -> Figure | None:
     return plot.caption(
         "Each point is one segment. Good: all points after calibration lie at one level, whatever the "
         "input; a level that rises with the input asks for another model term."
-    )
-
-
-def creep_figure(cal: Calibration) -> Figure | None:
-    """Residual rate against the time since the start of the position; None if creep was not tested."""
-    creep = cal.diagnostics.creep
-    if creep is None or not creep.time:
-        return None
-    t, mean, band = np.array(creep.time), 1e6 * np.array(creep.mean), 1e6 * np.array(creep.band)
-    plot = Plot(
-        "creep", "Residual after a move.", "time since the start of the position [s]",
-        "residual rate over K [µg]", height=2.7,
-    )  # fmt: skip
-    plot.band(t, -band, band, "95 % by the scatter of the positions", "reference")
-    plot.marked(t, mean, "mean over the positions", "after")
-    return plot.caption(
-        "Residual rate over K, less its mean in the position, stacked by the time since the start of the position. Good: all "
-        "points but one in twenty lie in the band. A curve that begins outside and comes back is a creep after each move: "
-        "leave out that time with settle in [data]."
     )

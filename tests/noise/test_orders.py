@@ -4,7 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from piga.calibration.orders import count_size, order_spectrum, ripple
+from piga.calibration.residuals import count_size
+from piga.noise.orders import order_spectrum, ripple
 from piga.records.calibration.diagnostics import Residuals
 from piga.units import ARCSEC, G0
 from tests.reports.example import TAN_BETA, K, residuals, ripple_integral

@@ -15,18 +15,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piga.calibration.residuals import count_size
 from piga.records.calibration.diagnostics import Residuals
-from piga.records.terms import integral_unit
-from piga.results import Result
-
-Array = NDArray[np.float64]
-
+from piga.results import Array, Result
 
 _STEP = 0.125
 """Spacing of the revolution orders of a spectrum [cycles/rev]."""
@@ -42,7 +39,6 @@ _BINS = 36
 """Most bins of one revolution."""
 _LINE = 3.0
 """An order is a line above this multiple of the expected noise: chance reaches it in one spectrum of a hundred."""
-
 
 _TAPER = 1.5  # variance of an amplitude under the raised cosine, against equal weights
 _STANDING = 1e-7  # turn between samples below which the output stands [rad]
@@ -118,37 +114,6 @@ def segment_slices(segment: ArrayLike) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def residual_angles(residuals: Residuals, kind: str) -> Residuals:
-    """The residuals as angles (of a direct instrument: its count): those of ``kind`` rate integrated over each segment."""
-    if kind != "rate":
-        return residuals
-    step = np.diff(residuals.t, prepend=residuals.t[:1])
-    step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
-    before, after = (
-        np.cumsum(step * 0.5 * (rate + np.concatenate((rate[:1], rate[:-1]))))
-        for rate in (residuals.before, residuals.after)
-    )
-    return replace(residuals, before=before, after=after, unit=integral_unit(residuals.unit))
-
-
-def order_grid() -> Array:
-    """Revolution orders of a spectrum [cycles/rev]; whole orders are among them."""
-    return np.arange(1.0, round(_HIGHEST / _STEP) + 1.0) * _STEP
-
-
-def count_size(psi: Array) -> float:
-    """Angle of one count [rad], if all angles lie on the grid of one count; else 0."""
-    part = np.unique(psi[np.isfinite(psi)][:20_000])
-    steps = np.unique(np.append(np.diff(part), 0.0))
-    steps = np.diff(steps)[np.diff(steps) > 1e-9]  # counts by which two distances of angles differ
-    if not steps.size:
-        return 0.0
-    reach = float(part[-1] - part[0])
-    count = reach / round(reach / float(steps.min()))
-    off = (part - part[0]) / count
-    return count if float(np.abs(off - np.round(off)).max()) < 0.01 else 0.0
-
-
 def order_spectrum(
     residuals: Residuals, scale_factor: float, noise: tuple[float, float] = (0.0, 0.0)
 ) -> OrderSpectrum:
@@ -170,10 +135,14 @@ def order_spectrum(
         holds on that order. Segments that turn less than half as far as the farthest, or show less than two cycles of
         the order, are left out: they would blur the lines.
     """
-    order = order_grid()
+    order = np.arange(1.0, round(_HIGHEST / _STEP) + 1.0) * _STEP  # whole orders are among them
     power, weight = np.zeros((4, order.size)), np.zeros(order.size)
     single: list[tuple[int, Array]] = []
     count = count_size(residuals.psi) if noise[0] else 0.0
+    excess = max((noise[0] / count) ** 2 - 1.0 / 12.0, 0.0) if count else math.inf
+    dither = math.exp(
+        -2.0 * math.pi**2 * excess
+    )  # what noise before the rounding leaves of the line of whole counts
     segments = _segments(residuals, count)
     enough = 0.499 * max((segment.turns for segment in segments), default=0.0)
     for segment in segments:
@@ -181,7 +150,7 @@ def order_spectrum(
         if not shown.any():
             continue
         square, information = _segment_power(_averaged(segment), order, scale_factor)
-        square[2] *= _dither(noise[0], count) ** 2
+        square[2] *= dither**2
         square = np.vstack((square, _noise_power(segment, order, noise) / scale_factor**2))
         good = shown & (information > 0.0)
         power[:, good] += information[good] * square[:, good]
@@ -206,13 +175,6 @@ def _segments(residuals: Residuals, count: float = 0.0) -> list[_Segment]:
             residual[2] = count * (np.round(path) - path)
         segments.append(_Segment(t, psi, residual, int(residuals.segment[part.start])))
     return segments
-
-
-def _dither(white: float, count: float) -> float:
-    """Share of the line of whole counts that noise before the rounding leaves: ``exp(-2 (pi sigma/count)^2)``."""
-    if count <= 0.0:
-        return 0.0
-    return math.exp(-2.0 * math.pi**2 * max((white / count) ** 2 - 1.0 / 12.0, 0.0))
 
 
 def _averaged(segment: _Segment) -> _Segment:

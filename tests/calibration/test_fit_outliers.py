@@ -9,7 +9,7 @@ import pytest
 from benchmarks.constant_force import ConstantForce, tumble
 
 import piga
-from piga.calibration.outliers import limit
+from piga.calibration.fit import limit
 from piga.units import G0
 from tests.calibration.made.independent import Bench
 from tests.calibration.made.scenarios import COUPLED
