@@ -107,14 +107,13 @@ def _visit_table(plan: Plan) -> Table:
     table.number("dwell", lambda visit: f"{visit.dwell:.2f}", "s")
     if not plan.request.direct:
         table.number("revolutions", lambda visit: f"{visit.dwell / visit.candidate.revolution:.2f}")
-        table.number("|a_x| over a_t tan(beta)", lambda visit: _margin(visit.candidate))
+        far = f"> {count(int(SHOWN))}"
+        table.number(
+            "|a_x| over a_t tan(beta)",
+            lambda visit: short(visit.candidate.margin) if visit.candidate.margin < SHOWN else far,
+        )
     table.number("force along X0", lambda visit: signed(visit.candidate.force[0] / G0, 4), "g")
     return table.table("Visits in the order of the test.")
-
-
-def _margin(candidate: Candidate) -> str:
-    """Distance from the lock zone, which lies below 1."""
-    return short(candidate.margin) if candidate.margin < SHOWN else f"> {count(int(SHOWN))}"
 
 
 def _uncertainty_table(plan: Plan) -> Table:

@@ -9,7 +9,6 @@ from functools import partial
 from itertools import cycle
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga._version import __version__
 from piga.instrument import Instrument, dead_zone, mean_rate
@@ -41,7 +40,10 @@ def locking_figure(*curves: tuple[Instrument, float]) -> Figure:
     ends = np.array([-limit, limit])
     plot.dashed(ends / G0 * 1e3, np.degrees(curves[0][0].scale_factor * ends), "ideal: K a_x")
     for (one, force), border, role in zip(curves, borders, cycle(_ROLES), strict=False):
-        a_x = _spread(limit, border)
+        outside = (
+            border + (limit - border) * np.linspace(0.0, 1.0, _POINTS // 2) ** 2
+        )  # dense where the plateau ends
+        a_x = np.concatenate((-outside[::-1], outside))
         name = f"a_t = {force / G0:.3g} g, beta = {one.beta / ARCSEC:.4g} arcsec"
         plot.line(a_x / G0 * 1e3, np.degrees(mean_rate(one, a_x, force, 0.0)), name, role)
     return plot.caption(
@@ -49,12 +51,6 @@ def locking_figure(*curves: tuple[Instrument, float]) -> Figure:
         f"force along the input axis; the widest plateau reaches to {max(borders) / G0 * 1e3:.3g} mg. Outside, the mean "
         "rate is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
     )
-
-
-def _spread(limit: float, border: float) -> NDArray[np.float64]:
-    """Forces from ``-limit`` to ``limit``, dense where the rate leaves the plateau like a square root."""
-    outside = border + (limit - border) * np.linspace(0.0, 1.0, _POINTS // 2) ** 2
-    return np.concatenate((-outside[::-1], outside))
 
 
 def figures(test: SimulatedTest) -> dict[str, Callable[[], Figure]]:
