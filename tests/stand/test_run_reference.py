@@ -61,7 +61,7 @@ def test_positions_by_name(tmp_path: Path) -> None:
             "",
             r"8 positions or levels, the record has 24 segments \(.+, .+\)",
         ),
-        (STAND.replace("dividing-head", "swing"), "", "invalid value 'swing'"),
+        (STAND.replace("dividing-head", "swing"), "", "'swing' is not one of"),
         (STAND.replace("latitude", "lattitude"), "", "lattitude|latitude"),
         (STAND.replace("40 deg", "40 g"), "", r"\[stand\] latitude.*quantity in 'rad'"),
         (
