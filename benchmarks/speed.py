@@ -40,7 +40,7 @@ from piga.instrument import Instrument, propagate_segments
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.platform import compare, compensator, simulate, true_knowledge
 from piga.platform.navigator import inertial_states, true_start
-from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Rotation, Sensors
+from piga.platform.scenario import Gyro, Harmonic, Place, PlatformScenario, Sensors
 from piga.reading.columns import file_digest
 from piga.records.calibration.document import to_document
 from piga.units import ARCSEC, G0
@@ -168,7 +168,7 @@ def smooth_vibration() -> Values:
 def ten_days(days: float = 10.0) -> PlatformScenario:
     """The published case with wobble and readout noise."""
     wobble = (Harmonic(2, 18.0 * ARCSEC, 1.0), Harmonic(3, 3.0 * ARCSEC, 2.0))
-    turning = Rotation(2.0 * math.pi / 480.0)
+    turning = 2.0 * math.pi / 480.0
     return PlatformScenario(
         Place(math.radians(40.0), math.radians(116.0)),
         days * 86400.0,

@@ -45,7 +45,7 @@ TESTS = [
     "tests/planning",
     "tests/ledger",
     "tests/reports",
-    "tests/gravity_norm",
+    "tests/test_gravity_norm.py",
     "tests/campaign",
     "tests/reading",
 ]

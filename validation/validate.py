@@ -242,7 +242,7 @@ TAIL = """Compared in the tests, on each change:
 | NIST Statistical Reference Datasets, linear regression | `tests/calibration/model/test_reduction.py` |
 | examples of JCGM 100 (GUM), annex H | `tests/calibration/test_uncertainty.py` |
 | the three publications on the instrument, `piga reproduce` | [reproduction](reproduction.md) |
-| the Xsens record | `tests/gravity_norm/test_estimate.py` |
+| the Xsens record | `tests/test_gravity_norm.py` |
 | the suite of NIST SP 1065 | `tests/noise/test_deviations.py` |
 
 Of the crystal oscillator the tables without bands are used.

@@ -45,7 +45,7 @@ Its members are those below, and no others; `*` is a name from the data.
 A change is a line in the changelog.
 The files are JSON Schemas in `docs/reference/json` of the sources.
 """
-PLAIN = ("units", "frames", "earth", "errors")
+PLAIN = ("units", "frames", "earth", "errors", "gravity_norm")
 """Modules that are rooms of their own."""
 
 

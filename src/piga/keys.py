@@ -28,7 +28,7 @@ FILES: dict[str, tuple[str, str, str]] = {
     "platform": ("platform scenario", "piga.platform.scenario", "ScenarioFile"),
     "campaign": ("campaign file", "piga.campaign.campaign_file", "CampaignFile"),
     "certificate": ("certificate file", "piga.certificate.certificate_file", "CertificateFile"),
-    "set": ("run file of a set", "piga.gravity_norm.estimate", "SetFile"),
+    "set": ("run file of a set", "piga.gravity_norm", "SetFile"),
     "triad": ("triad file", "piga.compensation.sets", "TriadFile"),
 }
 """Kinds of TOML files: name, module and class of the whole file."""

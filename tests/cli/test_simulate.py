@@ -56,7 +56,7 @@ def test_disagreement_ends_with_exit_code_1(monkeypatch):
         tolerance=0.1, note="a wrong number",
     )  # fmt: skip
     monkeypatch.setitem(
-        reproduction.CHAPTERS, "mounting", lambda: Chapter("mounting", "Mounting", "", "", (wrong,), ())
+        reproduction.CHAPTERS, "mounting", lambda: Chapter("Mounting", "", "", {"wrong": wrong}, "mounting")
     )
     done = invoked("reproduce", "--only", "mounting")
     assert done.exit_code == 1

@@ -21,8 +21,8 @@ from piga.platform import (
     true_knowledge,
 )
 from piga.platform.navigator import true_start
-from piga.platform.observation import Tip
-from piga.platform.scenario import Gyro, Harmonic, LinearSway, MotionPlan, Place, Rotation, Sensors
+from piga.platform.observation import tip_of
+from piga.platform.scenario import Gyro, Harmonic, MotionPlan, Place, Sensors
 
 DEG = np.pi / 180.0
 ARCMIN = DEG / 60.0
@@ -36,7 +36,7 @@ long = pytest.mark.long
 
 def published(**changes) -> PlatformScenario:
     """The published case; ten days at 1 Hz unless changed."""
-    turning = Rotation(2.0 * np.pi / 480.0)
+    turning = 2.0 * np.pi / 480.0
     values = {
         "place": Place(40.0 * DEG, 116.0 * DEG),
         "duration": 864000.0,
@@ -67,7 +67,7 @@ HARMONICS = (Harmonic(1, 0.2 * ARCMIN, 0.3), Harmonic(2, 0.25 * ARCMIN, 1.0), Ha
 def swaying(*waves) -> MotionPlan:
     """A base that sways in roll, pitch, heading, north, east and down with these amplitudes and periods."""
     names = [f"{name}_sway" for name in ("roll", "pitch", "heading", "north", "east", "down")]
-    return MotionPlan("sway", **{name: LinearSway(*wave) for name, wave in zip(names, waves, strict=True)})
+    return MotionPlan("sway", **dict(zip(names, waves, strict=True)))
 
 
 AT_SEA = swaying((0.03, 9.0), (0.02, 7.0), (0.02, 11.0), (0.3, 9.0), (0.3, 12.0), (0.3, 8.0))
@@ -89,7 +89,7 @@ def calibration(**changes) -> PlatformScenario:
 def truth(s, orders=3):
     """The Cartesian unknowns that an identification should find."""
     known = true_knowledge(s)
-    tips = [Tip.of(known.polar, orders).vector, Tip.of(known.equatorial, orders).vector]
+    tips = [tip_of(known.polar, orders), tip_of(known.equatorial, orders)]
     return np.concatenate([*tips, [known.eta0, known.eta_rate]])
 
 

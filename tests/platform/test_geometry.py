@@ -15,9 +15,7 @@ from piga.platform.geometry import (
     misalignment,
     nulled_attitude,
     small_angles,
-    turns_to_gimbals,
 )
-from piga.platform.observation import Tip
 from piga.platform.scenario import Gyro, Harmonic
 from tests.platform.conftest import ARCMIN, DEG
 
@@ -63,30 +61,10 @@ def test_harmonics_follow_their_definition_whatever_the_phase():
     c = np.linspace(0.0, 7.0, 40)
     expected = 4.0 * ARCMIN + 1e-5 * np.cos(c + 0.2) + 2e-5 * np.cos(3.0 * c - 1.1)
     np.testing.assert_allclose(misalignment(gyro, c), expected, rtol=0, atol=1e-18)
-    series, _ = Tip.of(gyro, 3).series(c - gyro.phase)
-    np.testing.assert_allclose(series, expected * np.exp(1j * c), rtol=0, atol=1e-18)
     attitude, _ = nulled_attitude(gyro, Gyro(), c, 0.0, 0.0)
     np.testing.assert_allclose(attitude[:, 1, 2], np.sin(expected) * np.cos(c), rtol=0, atol=1e-18)
-
-
-def test_derivatives_of_a_tip_are_those_of_finite_differences():
-    tip = Tip(np.array([3e-4, -2e-4, 2e-5, 1e-5, -1e-5, 3e-5]))
-    angle = np.linspace(0.0, 6.0, 13)
-    _, columns = tip.series(angle)
-    for k in range(6):
-        step = np.zeros(6)
-        step[k] = 1e-9
-        up, down = Tip(tip.vector + step), Tip(tip.vector - step)
-        slope = (up.series(angle)[0] - down.series(angle)[0]) / 2e-9
-        np.testing.assert_allclose(columns[:, k], slope, rtol=0, atol=1e-7)
 
 
 def test_gimbal_angles_invert_the_gimbal_attitude():
     angles = np.array([[0.4, 2.2, -1.0], [-3.0, 1.1, 3.1], [2.0, 0.3, 0.0]])
     np.testing.assert_allclose(gimbals_of(gimbal_attitude(angles)), angles, atol=1e-15)
-
-
-def test_a_turn_of_the_platform_becomes_gimbal_angles():
-    angles, step = np.array([0.4, 2.2, -1.0]), np.array([1e-6, -2e-6, 1.5e-6])
-    turn = -matrix_to_rotation_vector(gimbal_attitude(angles + step) @ gimbal_attitude(angles).T)
-    np.testing.assert_allclose(turns_to_gimbals(angles[None], turn[None, :, None])[0, :, 0], step, atol=1e-11)

@@ -43,13 +43,13 @@ def test_without_number_or_tolerance_it_is_for_information():
 def test_a_chapter_has_the_published_cases_and_no_others():
     values = {"least-skew": 1000.0, "moves": Value(999.0, published=999.5, tolerance=0.6), "shortfall": 0.01}
     chapter = chapter_of("mounting", values, ())
-    assert [case.id for case in chapter.cases] == [
+    assert [case.id for case in chapter.cases.values()] == [
         "mounting.least-skew",
         "mounting.moves",
         "mounting.shortfall",
     ]
-    assert [case.published for case in chapter.cases] == [1000.0, 999.5, None]
-    assert [case.verdict for case in chapter.cases] == ["pass", "pass", "info"]
+    assert [case.published for case in chapter.cases.values()] == [1000.0, 999.5, None]
+    assert [case.verdict for case in chapter.cases.values()] == ["pass", "pass", "info"]
     with pytest.raises(ValueError, match="moves"):
         chapter_of("mounting", {"least-skew": 1000.0, "shortfall": 0.01}, ())
 

@@ -120,7 +120,8 @@ def test_a_run_file_that_asks_for_the_former_method_names_the_study(tmp_path: Pa
 @pytest.mark.interpreted
 def test_positions_without_a_whole_turn() -> None:
     turns = whole_turns(turning(32, seconds=16.0, count=14))
-    (event,) = [event for event in turns.quality.events if event.kind == "no-whole-revolution"]
+    (event,) = [event for event in turns.quality.events if event.kind == "position-left-out"]
+    assert "does not turn once" in event.detail
     assert 0 < event.count == 14 - len(turns.labels)
     with pytest.raises(piga.CalibrationError, match="whole turns"):
         whole_turns(turning(33, seconds=5.0))

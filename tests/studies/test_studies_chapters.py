@@ -16,7 +16,7 @@ from piga.studies.reproduction import brief, reproduction_page, summary
 def check(chapter: Chapter) -> None:
     assert chapter.cases
     assert chapter.text
-    for case in chapter.cases:
+    for case in chapter.cases.values():
         assert case.verdict != "fail", (case.id, case.published, case.computed, case.tolerance)
         assert len(case.note) > 10, case.id
         assert case.unit
@@ -41,7 +41,7 @@ def test_a_wrong_propagator_fails(monkeypatch):
         return propagate(replace_scale(inst, 1.0 - 1e-6), t, f, **options)
 
     monkeypatch.setattr(constant, "propagate", slow)
-    failed = {case.id for case in constant.examples().cases if case.verdict == "fail"}
+    failed = {case.id for case in constant.examples().cases.values() if case.verdict == "fail"}
     assert "constant-input.example-4.agreement" in failed
 
 

@@ -53,7 +53,7 @@ def calibrate(
     Writes calibration.json, residuals.parquet and report.html. Several runs of one instrument are calibrated together.
     A set with reference = "gravity-norm" gives set-calibration.json and report.html.
     """
-    from piga.gravity_norm.estimate import is_set_file
+    from piga.gravity_norm import is_set_file
     from piga.records.calibration.document import to_document
 
     directory = out or runs[0].parent / f"{runs[0].stem if len(runs) == 1 else 'joint'}-calibration"

@@ -167,8 +167,6 @@ def identify(scenario: Scenario, out: Out) -> None:
     Writes identification.json and a page.
     """
     from piga.platform.chain import sources_of
-    from piga.platform.identify import identification_document
-    from piga.platform.observation import MOVING_SOURCES, SOURCES
     from piga.reports.platform import identification_page
 
     with _results(out, "identify", scenario, "identification.json") as to:
@@ -179,11 +177,8 @@ def identify(scenario: Scenario, out: Out) -> None:
             found = piga.platform.identify(
                 stretch, place, sources=sources_of(run), orders=orders, progress=advance
             )
-            allowed = SOURCES if run.truth.motion.at_rest else MOVING_SOURCES
-            sources = piga.platform.observability(stretch, place, sources=allowed, orders=orders)
-        document = identification_document(found, sources)
-        whole = identification_page(run, found, sources)
-        to.show(document, whole, whole.only("parameters"), "identification.json", "report.html")
+        whole = identification_page(run, found)
+        to.show(found.document(), whole, whole.only("parameters"), "identification.json", "report.html")
 
 
 @platform.command()

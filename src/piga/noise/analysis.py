@@ -17,6 +17,7 @@ from piga.noise.deviations import (
     ALLAN,
     FEWEST,
     ORDERS,
+    SOURCES,
     AllanDeviation,
     NoiseLevel,
     NoiseSpectrum,
@@ -147,11 +148,8 @@ def analyse_noise(
         rates = [np.diff(values[part] - values[part.start]) / step for part in parts]
         angle, times = values, t
     levels, spectrum = noise_levels(rates, step, source=source)
-    noise = {
-        ALLAN[one.name][0]: one.value**2 * ALLAN[one.name][1]
-        for one in levels
-        if one.name in ALLAN and one.value > 0.0
-    }
+    seen = {one.name: one.value for one in levels if one.name in SOURCES and one.value > 0.0}
+    noise = {ALLAN[name][0]: value**2 * ALLAN[name][1] for name, value in seen.items()}
     return NoiseAnalysis(
         source=source,
         unit=unit,

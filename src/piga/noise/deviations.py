@@ -52,8 +52,6 @@ class AllanDeviation(Result):
         Deviation and ends of the 68 % band, in the unit of the rate [rad/s].
     degrees_of_freedom:
         Equivalent degrees of freedom of the variance.
-    stretches:
-        Stretches that are long enough for each averaging time.
     kind:
         ``"allan"``, ``"modified"`` or ``"hadamard"``.
     """
@@ -63,7 +61,6 @@ class AllanDeviation(Result):
     lower: Array
     upper: Array
     degrees_of_freedom: Array
-    stretches: NDArray[np.int64]
     kind: Kind = "allan"
 
 
@@ -129,10 +126,10 @@ def allan_deviation(
     rows = []
     for m in factors:
         parts = tuple((power, level * (m * step) ** _SLOPES[power]) for power, level in noise.items())
-        square, freedom, reached = _pooled(summed, m, parts, kind)
+        square, freedom = _pooled(summed, m, parts, kind)
         if freedom >= 1.0:
-            rows.append((m * step, square / (m * step) ** 2, freedom, reached))
-    tau, variance, degrees, counts = np.array(rows).reshape(-1, 4).T
+            rows.append((m * step, square / (m * step) ** 2, freedom))
+    tau, variance, degrees = np.array(rows).reshape(-1, 3).T
     tail = 0.5 * (1.0 - ONE_SIGMA)
     return AllanDeviation(
         tau=tau,
@@ -140,7 +137,6 @@ def allan_deviation(
         lower=np.sqrt(variance * degrees / chdtri(degrees, tail)),
         upper=np.sqrt(variance * degrees / chdtri(degrees, 1.0 - tail)),
         degrees_of_freedom=degrees,
-        stretches=counts.astype(np.int64),
         kind=kind,
     )
 
@@ -211,13 +207,13 @@ def _even(angle: Array, t: Array, step: float) -> Array:
 
 def _pooled(
     summed: list[Array], m: int, noise: tuple[tuple[int, float], ...], kind: Kind
-) -> tuple[float, float, int]:
-    """Variance times the square of the averaging time, its degrees of freedom, and the number of stretches long enough.
+) -> tuple[float, float]:
+    """Variance times the square of the averaging time, and its degrees of freedom, of the stretches that are long enough.
 
     ``summed`` are the angles of each stretch; for the modified deviation their running sums, from zero.
     """
     times, scale = {"allan": (2, 2.0), "modified": (3, 2.0 * m**2), "hadamard": (3, 6.0)}[kind]
-    total, weights, spread, reached = 0.0, 0, 0.0, 0
+    total, weights, spread = 0.0, 0, 0.0
     for x in summed:
         if x.size <= times * m:
             continue
@@ -229,8 +225,7 @@ def _pooled(
         total += float(difference @ difference)
         weights += difference.size
         spread += difference.size**2 / freedom
-        reached += 1
-    return (total / weights / scale, weights**2 / spread, reached) if reached else (0.0, 0.0, 0)
+    return (total / weights / scale, weights**2 / spread) if weights else (0.0, 0.0)
 
 
 # -- levels ------------------------------------------------------------------------------------------------
@@ -412,15 +407,15 @@ ALLAN = {
     "random_walk": (0, 1.0),
     "bias_instability": (-1, 2.0 * math.log(2.0) / math.pi),
     "rate_random_walk": (-2, 1.0 / 3.0),
+    "drift": (-3, 0.5),
 }
-"""Exponent of the spectrum and Allan variance at 1 s of each level of 1 ([IEEE952] annex C)."""
+"""Exponent of the spectrum and Allan variance at 1 s of each level of 1 ([IEEE952] annex C); a drift goes as an exponent of -3."""
 
 
 def level_variances(tau: Array, levels: Sequence[NoiseLevel]) -> dict[str, Array]:
     """Allan variance of each level at averaging times, by name."""
-    powers = {"quantisation": -2, "random_walk": -1, "bias_instability": 0, "rate_random_walk": 1, "drift": 2}
-    factors = {name: factor for name, (_, factor) in ALLAN.items()} | {"drift": 0.5}
-    return {one.name: one.value**2 * factors[one.name] * tau ** float(powers[one.name]) for one in levels}
+    told = {one.name: (one.value, *ALLAN[one.name]) for one in levels}
+    return {name: value**2 * at * tau ** float(_SLOPES[power]) for name, (value, power, at) in told.items()}
 
 
 def _columns(share: Array, step: float) -> tuple[Array, ...]:

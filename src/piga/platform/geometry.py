@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from piga import earth
 from piga.frames import axis_turn
-from piga.platform.scenario import Gyro, Rotation
+from piga.platform.scenario import Gyro
 from piga.results import Array
 
 KERNEL_EARTH = np.array(
@@ -169,20 +169,6 @@ def step_means(values: Array) -> Array:
     return (values[:-2:2] + 4.0 * values[1::2] + values[2::2]) / 6.0
 
 
-def turns_to_gimbals(gimbals: ArrayLike, turn: Array) -> Array:
-    """Changes of the gimbal angles (n, 3, p) [rad] that turn P by ``turn`` (n, 3, p) [rad] about its own axes.
-
-    ``d theta`` is the turn about the middle axis, ``d psi`` that about the outer one, ``d sigma`` the rest.
-    """
-    g = np.asarray(gimbals, dtype=float)[..., None]
-    st, ct, ss, cs = np.sin(g[:, 1]), np.cos(g[:, 1]), np.sin(g[:, 2]), np.cos(g[:, 2])
-    out = np.empty_like(turn)
-    out[:, 0] = (ss * turn[:, 1] - cs * turn[:, 0]) / st
-    out[:, 1] = ss * turn[:, 0] + cs * turn[:, 1]
-    out[:, 2] = turn[:, 2] - ct * out[:, 0]
-    return out
-
-
 def halved(nodes: Array) -> Array:
     """Values at nodes (n, ...) and, between them, in the middle of every step: (2n - 1, ...)."""
     out = np.empty((2 * len(nodes) - 1, *nodes.shape[1:]))
@@ -195,24 +181,14 @@ def wrapped(angle: ArrayLike) -> Array:
     return np.remainder(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi
 
 
-def encoder_angle(rotation: Rotation, times: ArrayLike) -> Array:
-    """Angle of the case encoder [rad] at ``times`` [s]: ``rate t``, folded back every ``turns`` turns."""
-    angle = rotation.rate * np.asarray(times, dtype=float)
-    if rotation.turns <= 0:
-        return angle
-    span = 2.0 * np.pi * rotation.turns
-    within = np.mod(angle, 2.0 * span)
-    return np.where(within <= span, within, 2.0 * span - within)
-
-
-def apparent_gyro(gyro: Gyro, rotation: Rotation) -> Gyro:
+def apparent_gyro(gyro: Gyro, rate: float) -> Gyro:
     """The gyro as identification sees it: under steady rotation a case-fixed drift looks like misalignment.
 
     Drift ``w`` in case axes [rad/s] moves the momentum on a circle, ``w exp(ic) / (i rate)``. The circle turns with the
     case, as the misalignment ``m exp(ic)`` does. Only ``m - i w / rate`` is observable, and only this must be
-    compensated. Reversal would separate the two. Own derivation, docs/theory/platform.md section 4.
+    compensated. Own derivation, docs/theory/platform.md section 4.
     """
-    if rotation.rate == 0.0 or rotation.turns > 0 or not any(gyro.case_drift):
+    if rate == 0.0 or not any(gyro.case_drift):
         return gyro
-    seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rotation.rate
+    seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rate
     return msgspec.structs.replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))

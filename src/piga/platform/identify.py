@@ -10,29 +10,29 @@ and the base's attitude. Each observation alone lacks one angle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from piga.errors import IdentifiabilityError, PigaError
+from piga.errors import IdentifiabilityError
 from piga.frames import matrix_to_rotation_vector
 from piga.platform.geometry import local_axes, wrapped
 from piga.platform.navigator import Knowledge, Start, site_start
-from piga.platform.observation import SOURCES, STATIC_SOURCES, ObservedRecord, Reduced, Tip, Unknowns, names
-from piga.platform.scenario import Gyro, Place
+from piga.platform.observation import STATIC_SOURCES, ObservedRecord, Reduced, Unknowns, gyro_of, names, tip_of
+from piga.platform.scenario import Place
 from piga.platform.simulate import Readouts
 from piga.progress import Progress, report
-from piga.results import Array, Result, finite
+from piga.results import Array, Result
 from piga.threads import one_thread
 
 _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
 _NOISE_STEPS = 20
 """Most steps to the noise levels of the groups."""
-_STEPS, _ALIGNING_STEPS = 6, 5
+_STEPS, _ALIGNING_STEPS = 6, 3
 """Most steps of an identification; steps of an alignment."""
 _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""
@@ -82,7 +82,7 @@ def solve(parts: Sequence[Reduced], names: Sequence[str]) -> LeastSquares:
         for part, level in zip(parts, used, strict=True):
             rows = part.factor[:, :-1] / level
             freedom = max(part.rows - float(np.sum((rows @ covariance) * rows)), 1.0)
-            levels.append(float(np.sqrt(part.squares(step) / freedom)))
+            levels.append(float(np.linalg.norm(part.factor @ [*step, -1.0]) / np.sqrt(freedom)))
         if np.allclose(levels, used, rtol=1e-4, atol=_SMALLEST_SIGMA):
             break
     noise = {part.name: level for part, level in zip(parts, used, strict=True)}
@@ -116,17 +116,14 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(Result):
-    """Result: the gyros as identified, redundancy angle, covariance of the unknowns, noise, doubts.
+    """Result: the knowledge that the compensation models use, covariance of the unknowns, noise, doubts.
 
     ``names, values, covariance`` are the Cartesian unknowns (misalignments, eta0, eta_rate);
     ``parameters`` the same as amplitudes and phases with first-order uncertainty.
     """
 
     sources: tuple[str, ...]
-    polar: Gyro
-    equatorial: Gyro
-    eta0: float
-    eta_rate: float
+    knowledge: Knowledge
     names: tuple[str, ...]
     values: Array
     covariance: Array
@@ -141,10 +138,13 @@ class Identification(Result):
         rows = [(p.name, f"{p.value:.6g} +- {p.std:.2g} {p.unit}") for p in self.parameters]
         return [("sources", ", ".join(self.sources)), *rows, *(("note", note) for note in self.notes)]
 
-    @property
-    def knowledge(self) -> Knowledge:
-        """The knowledge that the compensation models use."""
-        return Knowledge(self.polar, self.equatorial, self.eta0, self.eta_rate)
+    def document(self) -> dict[str, Any]:
+        """JSON document of ``piga platform identify``."""
+        names = ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
+        matrix, values = self.covariance.tolist(), self.values.tolist()
+        covariance = {"names": self.names, "values": values, "matrix": matrix}
+        document = {name: getattr(self, name) for name in names} | {"covariance": covariance}
+        return dict(msgspec.to_builtins(document))
 
     def __getitem__(self, name: str) -> Parameter:
         for parameter in self.parameters:
@@ -174,14 +174,11 @@ def identify(readouts: Readouts, place: Place, *, sources: Sequence[str] = STATI
     record = ObservedRecord.checked(readouts, place, sources, orders)
     x, solution = gauss_newton(record, record.coarse(), _STEPS, progress)
     count = 4 + 4 * orders + (2 if "pick-off" in sources else 0)
-    values = np.concatenate([x.polar.vector, x.equatorial.vector, [x.eta0, x.eta_rate]])[:count]
+    values = np.concatenate([x.polar, x.equatorial, [x.eta0, x.eta_rate]])[:count]
     covariance = solution.covariance[:count, :count]
     return Identification(
         sources=record.sources,
-        polar=x.polar.gyro(),
-        equatorial=x.equatorial.gyro(),
-        eta0=x.eta0,
-        eta_rate=x.eta_rate,
+        knowledge=Knowledge(gyro_of(x.polar), gyro_of(x.equatorial), x.eta0, x.eta_rate),
         names=record.names[:count],
         values=values,
         covariance=covariance,
@@ -197,7 +194,7 @@ def _amplitudes(tips: Array) -> dict[str, float]:
     """Amplitude and phase of the fundamental and of each harmonic, of both gyros, from their unknowns."""
     values: dict[str, float] = {}
     for name, vector in zip(("polar", "equatorial"), np.split(tips, 2), strict=True):
-        gyro = Tip(vector).gyro()
+        gyro = gyro_of(vector)
         values |= {f"{name}.misalignment": gyro.misalignment, f"{name}.phase": gyro.phase}
         for k, amplitude, phase in gyro.harmonics:
             values |= {f"{name}.harmonic{k}.amplitude": amplitude, f"{name}.harmonic{k}.phase": phase}
@@ -231,56 +228,6 @@ def _notes(values: Array, covariance: Array) -> tuple[str, ...]:
             which = ", ".join(f"harmonic {k}" if k else "misalignment" for k, one in enumerate(below) if one)
             notes.append(f"{gyro}: below three times the uncertainty, so the phase means nothing: {which}")
     return tuple(notes)
-
-
-UNKNOWNS = ("polar.u", "polar.v", "equatorial.u", "equatorial.v")
-
-
-def observability(
-    readouts: Readouts, place: Place, *, sources: Sequence[str] = SOURCES, orders: int = 3
-) -> list[dict[str, Any]]:
-    """What each of the ``sources`` alone, and with the pick-off, tells of the two misalignments: :func:`identify` with each.
-
-    Of each: ``source``, ``condition``, ``std_rad`` (standard uncertainty of each of :data:`UNKNOWNS`), ``separable`` and
-    ``verdict``, a sentence. Where :func:`identify` refuses, the numbers are None and the sentence gives the reason.
-    If both cases turn at one speed, the pick-off alone contains ``m2 cos(c2) - m1 sin(c1)`` as one line. It leaves two of the
-    four unknowns undetermined.
-    """
-    rows, pick, others = [], "pick-off", [source for source in sources if source != "pick-off"]
-    for chosen in ((pick,), *((source,) for source in others), *((source, pick) for source in others)):
-        std: dict[str, float | None] = dict.fromkeys(UNKNOWNS)
-        condition, verdict = None, "tells both misalignments and both phases"
-        try:
-            found = identify(readouts, place, sources=chosen, orders=orders)
-        except PigaError as error:
-            verdict = f"{error.message}; {error.remedy}"
-        else:
-            condition, every = finite(found.condition), np.sqrt(np.diag(found.covariance)).tolist()
-            std = {name: finite(every[found.names.index(name)]) for name in UNKNOWNS}
-        rows.append(
-            {
-                "source": " with ".join(chosen),
-                "condition": condition,
-                "std_rad": std,
-                "separable": condition is not None,
-                "verdict": verdict,
-            }
-        )
-    return rows
-
-
-def identification_document(
-    identification: Identification, sources: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """JSON document of ``piga platform identify``; ``sources`` are those of :func:`observability`."""
-    names = ("sources", "parameters", "noise", "degrees_of_freedom", "condition", "notes")
-    document = {name: getattr(identification, name) for name in names}
-    document["covariance"] = {
-        "names": identification.names,
-        "values": identification.values.tolist(),
-        "matrix": identification.covariance.tolist(),
-    }
-    return dict(msgspec.to_builtins(document | {"observability": sources}))
 
 
 # -- alignment on a static base ----------------------------------------------------------------------------------
@@ -365,8 +312,8 @@ def align(
     record = ObservedRecord(readouts, place, ("gimbals", "rest"), orders)
     known = replace(
         record.coarse(),
-        polar=Tip.of(knowledge.polar, orders),
-        equatorial=Tip.of(knowledge.equatorial, orders),
+        polar=tip_of(knowledge.polar, orders),
+        equatorial=tip_of(knowledge.equatorial, orders),
         eta0=knowledge.eta0,
         eta_rate=knowledge.eta_rate,
     )

@@ -1,7 +1,6 @@
 """Navigation in inertial axes: specific force of a space-stable platform to position, velocity and attitude.
 
-The linear dynamics of its errors are held against full perturbed runs. Form after [Britting1971]; written out in
-docs/theory/platform.md sections 7 and 9.
+Form after [Britting1971]; written out in docs/theory/platform.md section 7.
 """
 
 from __future__ import annotations
@@ -9,11 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
 
 from piga import earth
 from piga._kernels.platform import Stepping, Triad, follow, navigate_chunk
-from piga.frames import rotation_vector_to_matrix, skew
+from piga.frames import rotation_vector_to_matrix
 from piga.platform import geometry
 from piga.platform.scenario import Gyro, Model, Place, PlatformScenario
 from piga.platform.simulate import Readouts, Truth
@@ -288,62 +286,3 @@ def site_start(place: Place, triad: Array, drift: Array) -> Start:
     """Start of a base at rest at a known place, with the triad ``C_G^i`` and its drift [rad/s] to take out."""
     position = geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
     return Start(position, np.cross([0.0, 0.0, earth.EARTH_RATE], position), triad, drift)
-
-
-@dataclass(frozen=True)
-class Perturbation:
-    """One error put in.
-
-    ``attitude`` [rad] and ``drift`` [rad/s] of the triad, accelerometer ``bias`` [m/s^2], reference
-    ``height`` [m], and ``position`` [m], ``velocity`` [m/s] north, east, down at the start.
-    """
-
-    attitude: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    height: float = 0.0
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-def linear_errors(place: Place, perturbation: Perturbation, duration: float, *, step: float = 10.0,
-                  damping_time: float = 100.0) -> Array:  # fmt: skip
-    """Errors of a navigator at rest at ``place``: time [s], position n, e, d [m], velocity n, e, d [m/s].
-
-    Shape (m, 7), every ``step`` seconds. The perturbation is that of the navigator: its triad is turned
-    by ``attitude + drift t`` too far, its accelerometers read ``bias`` too much.
-    """
-    spin = skew(np.array([0.0, 0.0, earth.EARTH_RATE]))
-    axes = geometry.local_axes(place.latitude, place.longitude)
-    start = np.zeros(16)
-    start[:3] = axes @ np.array(perturbation.position)
-    start[3:6] = axes @ np.array(perturbation.velocity) + spin @ start[:3]
-    start[6:] = [*perturbation.attitude, *perturbation.drift, *perturbation.bias, perturbation.height]
-    scaled, scales = matrix_balance(_error_dynamics(place, damping_gains(damping_time)) * step, permute=False)
-    rows, power = start[None, :], scales @ expm(scaled) @ np.linalg.inv(scales)
-    count = round(duration / step) + 1
-    while len(rows) < count:
-        rows, power = np.concatenate([rows, rows @ power.T]), power @ power
-    position, velocity = rows[:count, :3], rows[:count, 3:6] - rows[:count, :3] @ spin.T
-    return np.column_stack([np.arange(count) * step, position @ axes, velocity @ axes])
-
-
-def _error_dynamics(place: Place, gains: Array) -> Array:
-    """Matrix (16, 16) of the error dynamics (docs/theory/platform.md section 9). It is constant: all vectors are in Earth axes.
-
-    State: error of inertial position and velocity, attitude, drift and bias (3 each), and of the reference height.
-    Small misalignments between platform and triad are left out of the effect of the bias.
-    """
-    position = geometry.geodetic_to_earth(place.latitude, place.longitude, place.height)
-    up = -geometry.local_axes(place.latitude, place.longitude)[:, 2]
-    one, vertical, d = np.eye(3), np.outer(up, up), 100.0
-    ahead, behind = (geometry.gravitation(position + side * one) for side in (d, -d))
-    matrix = np.zeros((16, 16))
-    matrix[:15, :15] = np.kron(np.eye(5), -skew(np.array([0.0, 0.0, earth.EARTH_RATE])))
-    matrix[:3, :3] -= gains[0] * vertical
-    matrix[:3, 3:6], matrix[:3, 15] = one, gains[0] * up
-    matrix[3:6, :3] = (ahead - behind).T / (2.0 * d) - gains[1] * vertical
-    matrix[3:6, 6:9], matrix[3:6, 12:15] = -skew(geometry.specific_force_at_rest(position)), one
-    matrix[3:6, 15] = gains[1] * up
-    matrix[6:9, 9:12] = one
-    return matrix

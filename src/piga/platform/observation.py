@@ -1,7 +1,6 @@
 """Predicted readouts for given unknowns, and the least-squares rows of each source of observation.
 
-Predictions use the exact nulled geometry. Regressors use the small-angle matrices. This is enough for Gauss-Newton
-steps: their relative error is the size of the misalignment, 1e-3.
+Predictions use the exact nulled geometry; regressors are their differences.
 
 Unknowns, in this order: polar ``u v`` (``m1 cos, m1 sin`` of its phase) and harmonics ``A_k B_k`` over the
 encoder angle; the same for the equatorial gyro; ``eta0, eta_rate``; triad attitude (3), triad drift (3),
@@ -17,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -36,59 +36,33 @@ STATIC_SOURCES = ("gimbals", "pick-off")
 MOVING_SOURCES = ("force", "pick-off")
 
 
-@dataclass(frozen=True)
-class Tip:
-    """One gyro's misalignment over the encoder angle: ``vector`` is ``u, v, A_1, B_1, A_2, B_2, ...`` [rad]."""
+def tip_of(gyro: Gyro, orders: int) -> Array:
+    """Misalignment over the encoder angle: ``u, v, A_1, B_1, A_2, B_2, ...`` [rad], with harmonics up to ``orders``."""
+    waves = np.zeros(1 + orders, dtype=complex)
+    waves[0] = gyro.misalignment * np.exp(-1j * gyro.phase)
+    for h in gyro.harmonics:
+        if h.order <= orders:
+            waves[h.order] += h.amplitude * np.exp(1j * (h.order * gyro.phase + h.phase))
+    return np.stack([waves.real, -waves.imag], axis=1).ravel()
 
-    vector: Array
 
-    @classmethod
-    def of(cls, gyro: Gyro, orders: int) -> Tip:
-        """The unknowns that describe ``gyro``, with harmonics up to ``orders``."""
-        waves = np.zeros(1 + orders, dtype=complex)
-        waves[0] = gyro.misalignment * np.exp(-1j * gyro.phase)
-        for h in gyro.harmonics:
-            if h.order <= orders:
-                waves[h.order] += h.amplitude * np.exp(1j * (h.order * gyro.phase + h.phase))
-        return cls(np.stack([waves.real, -waves.imag], axis=1).ravel())
-
-    @property
-    def phase(self) -> float:
-        """Phase of the fundamental [rad]."""
-        return float(np.arctan2(self.vector[1], self.vector[0]))
-
-    def gyro(self) -> Gyro:
-        """The gyro with misalignment, phase and harmonics over the case angle."""
-        pairs = enumerate(self.vector[2:].reshape(-1, 2), start=1)
-        waves = [(k, np.hypot(a, b), np.arctan2(-b, a) - k * self.phase) for k, (a, b) in pairs]
-        harmonics = tuple(Harmonic(k, float(size), float(np.remainder(p, 2.0 * np.pi))) for k, size, p in waves)
-        return Gyro(float(np.hypot(*self.vector[:2])), self.phase, harmonics)
-
-    def series(self, encoder: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """``m(c) exp(i c)`` (n,) and its derivatives by the unknowns (n, 2 + 2K)."""
-        turn = np.exp(1j * encoder)
-        m = float(np.hypot(*self.vector[:2]))
-        unit = complex(*self.vector[:2]) / m if m > 0.0 else 1.0 + 0.0j
-        angles = np.outer(encoder, np.arange(1, len(self.vector) // 2))
-        c, s = np.cos(angles), np.sin(angles)
-        wobble = c @ self.vector[2::2] + s @ self.vector[3::2]
-        twist = 1j * unit * wobble / m if m > 0.0 else 0.0 * turn
-        columns = np.empty((len(encoder), len(self.vector)), dtype=complex)
-        columns[:, 0] = turn * (1.0 - twist * unit.imag)
-        columns[:, 1] = turn * (1j + twist * unit.real)
-        columns[:, 2::2], columns[:, 3::2] = (turn * unit)[:, None] * c, (turn * unit)[:, None] * s
-        return turn * unit * (m + wobble), columns
+def gyro_of(tip: Array) -> Gyro:
+    """The gyro with misalignment, phase and harmonics over the case angle."""
+    phase, pairs = float(np.arctan2(tip[1], tip[0])), enumerate(tip[2:].reshape(-1, 2), start=1)
+    waves = [(k, np.hypot(a, b), np.arctan2(-b, a) - k * phase) for k, (a, b) in pairs]
+    harmonics = tuple(Harmonic(k, float(size), float(np.remainder(p, 2.0 * np.pi))) for k, size, p in waves)
+    return Gyro(float(np.hypot(*tip[:2])), phase, harmonics)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Unknowns(Result):
-    """All unknowns of a record; ``triad`` is ``C_i^G`` at time zero, ``base`` is ``C_b^e``.
+    """All unknowns of a record; ``polar, equatorial`` as of :func:`tip_of`, ``triad`` ``C_i^G`` at time zero, ``base`` ``C_b^e``.
 
     The methods take times (n,) [s] and the angles (n,) [rad] of the two encoders.
     """
 
-    polar: Tip
-    equatorial: Tip
+    polar: Array
+    equatorial: Array
     eta0: float
     eta_rate: float
     triad: Array
@@ -97,11 +71,11 @@ class Unknowns(Result):
 
     def moved(self, step: Array) -> Unknowns:
         """The unknowns after a step, in the order of the module's docstring."""
-        size = len(self.polar.vector)
+        size = len(self.polar)
         polar, equatorial, eta, triad, drift, base = np.split(step, 2 * size + np.array([-size, 0, 2, 5, 8]))
         return Unknowns(
-            Tip(self.polar.vector + polar),
-            Tip(self.equatorial.vector + equatorial),
+            self.polar + polar,
+            self.equatorial + equatorial,
             self.eta0 + eta[0],
             self.eta_rate + eta[1],
             rotation_vector_to_matrix(-triad) @ self.triad,
@@ -111,7 +85,7 @@ class Unknowns(Result):
 
     def platform(self, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
         """Exact ``C_G^P`` (n, 3, 3) and pick-off (n,) [rad]."""
-        polar, equatorial = self.polar.gyro(), self.equatorial.gyro()
+        polar, equatorial = gyro_of(self.polar), gyro_of(self.equatorial)
         eta = self.eta0 + self.eta_rate * times
         return geometry.nulled_attitude(
             polar, equatorial, encoder1 + polar.phase, encoder2 + equatorial.phase, eta
@@ -122,23 +96,6 @@ class Unknowns(Result):
         return (
             attitude @ rotation_vector_to_matrix(-times[:, None] * self.drift) @ self.triad
         ) @ geometry.earth_to_inertial(times)
-
-    def regressors(self, times: Array, encoder1: Array, encoder2: Array) -> tuple[Array, Array]:
-        """Derivatives of the small angles ``e`` (n, 3, p) and of the pick-off (n, p) by tips, eta0 and eta_rate."""
-        first, d1 = self.polar.series(encoder1)
-        second, d2 = self.equatorial.series(encoder2)
-        eta = self.eta0 + self.eta_rate * times
-        tangent, secant = np.tan(eta), 1.0 / np.cos(eta)
-        n, size = d1.shape
-        e, pick = np.zeros((n, 3, 2 * size + 2)), np.zeros((n, 2 * size + 2))
-        e[:, 0, :size], e[:, 1, :size] = d1.real, d1.imag
-        e[:, 2, :size] = -d1.real * tangent[:, None]
-        e[:, 2, size : 2 * size] = d2.imag * secant[:, None]
-        e[:, 2, -2] = second.imag * secant * tangent - first.real * secant**2
-        e[:, 2, -1] = e[:, 2, -2] * times
-        pick[:, :size], pick[:, size : 2 * size] = -d1.imag, d2.real
-        pick[:, -2], pick[:, -1] = 1.0, times
-        return e, pick
 
 
 def names(orders: int) -> tuple[str, ...]:
@@ -202,8 +159,8 @@ class _Stretch:
         rows = sliding_window_view(flat, len(self.window), axis=0)[:: self.stride] @ self.window
         return (self.whitening @ rows).reshape(len(rows), *values.shape[1:])
 
-    def rows(self, x: Unknowns) -> tuple[Array, Array]:
-        """Whitened residuals (r, 3) [m/s^2] and regressors (r, 3, p) by tips, eta0 and eta_rate, without the slow force.
+    def residuals(self, x: Unknowns) -> Array:
+        """Whitened residuals (r, 3) [m/s^2] without the slow force.
 
         The step-mean of the predicted force is taken by Simpson's rule on the exact geometry, so that the
         length of the step does not bias the unknowns. Gyro accelerometers read the platform's own turn too.
@@ -215,16 +172,11 @@ class _Stretch:
         undone = self._whitened(np.einsum("nji,nj->ni", attitude[1::2], force))
         solution = np.linalg.solve(triangle, orthonormal.T @ undone)
         slow = BSpline(self.knots, solution, 3)(np.linspace(0.0, 1.0, len(half[0])))
-        e, _ = x.regressors(*half)
         predicted = geometry.step_means(np.einsum("nij,nj->ni", attitude, slow))
-        columns = geometry.step_means(np.cross(slow[:, :, None], e, axis=1))
         if r.turn_sensitivity > 0.0:  # the turn of the platform over each step, in its own axes
             predicted -= geometry.turns_between(attitude[::2]) * (r.turn_sensitivity / r.step)
-            columns -= np.diff(e[::2], axis=0) * (r.turn_sensitivity / r.step)
-        white = self._whitened(np.concatenate([(force - predicted)[:, :, None], columns], axis=2))
-        flat = white.reshape(len(white), -1)
-        white = (flat - orthonormal @ (orthonormal.T @ flat)).reshape(white.shape)
-        return white[:, :, 0], white[:, :, 1:]
+        white = self._whitened(force - predicted)
+        return white - orthonormal @ (orthonormal.T @ white)
 
 
 def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
@@ -232,27 +184,16 @@ def _nodes(r: Readouts) -> tuple[Array, Array, Array]:
     return r.times, r.encoder1, r.encoder2
 
 
-@dataclass(frozen=True)
-class Reduced:
-    """Rows of one kind with one noise level: their triangular ``factor`` (p + 1, p + 1), number of independent rows.
-
-    An estimate needs nothing else.
-    """
+class Reduced(NamedTuple):
+    """Rows of one kind with one noise level: their triangular ``factor`` (p + 1, p + 1), and how many are independent."""
 
     name: str
     factor: Array
     rows: float
 
-    @classmethod
-    def of(cls, name: str, residual: Array, regressors: Array, rows: float | None = None) -> Reduced:
-        """From a residual (n,) and regressors (n, p); ``rows`` is less than n if a trend was removed from them."""
-        factor: Array = np.linalg.qr(np.column_stack([regressors, residual]), mode="r")  # type: ignore[assignment]
-        return cls(name, factor, float(len(residual)) if rows is None else rows)
 
-    def squares(self, step: Array) -> float:
-        """Sum of squares of the residuals after ``step`` (p,)."""
-        left = self.factor[:, -1] - self.factor[:, :-1] @ step
-        return float(left @ left)
+_DIFFERENCE = 1e-9
+"""Step of the differences [rad], over the record for a rate."""
 
 
 @dataclass(frozen=True)
@@ -351,7 +292,7 @@ class ObservedRecord:
             _triad_of(values[:few].mean(axis=0), values[-few:].mean(axis=0))
             for values in (r.increments, turned)
         )
-        triad, zero = shown @ felt.T, Tip(np.zeros(2 + 2 * self.orders))
+        triad, zero = shown @ felt.T, np.zeros(2 + 2 * self.orders)
         rate, eta0 = np.polyfit(r.times, r.pickoff, 1)
         base = triad.T @ geometry.gimbal_attitude(r.gimbals[0])
         return Unknowns(zero, zero, float(eta0), float(rate), triad, np.zeros(3), base)
@@ -372,47 +313,41 @@ class ObservedRecord:
 
     def groups(self, x: Unknowns) -> list[Reduced]:
         """Rows of every source about ``x``. The rows of the force exclude what a slow force can explain."""
-        r, made, nodes = self.readouts, [], _nodes(self.readouts)
-        attitude, ring = x.platform(*nodes)
-        e, pick = x.regressors(*nodes)
-        if "gimbals" in self.sources:
-            to_platform = x.from_earth(attitude, r.times)
-            pole, by_drift = (attitude @ x.triad[:, 2])[:, :, None], attitude * r.times[:, None, None]
-            turn = np.concatenate([e, attitude, by_drift, -to_platform[:, :, :2], -pole], axis=2)
-            residual = geometry.wrapped(r.gimbals - geometry.gimbals_of(to_platform @ x.base))
-            columns = geometry.turns_to_gimbals(r.gimbals, turn)
-            made.append(Reduced.of("gimbals", residual.ravel(), self._cut(columns)))
-        if "pick-off" in self.sources:
-            made.append(Reduced.of("pick-off", r.pickoff - ring, self._cut(pick)))
-        if "force" in self.sources:
-            made.append(self._force(x))
-        if "rest" in self.sources:
-            made.append(self._rest(x))
+        every, span = names(self.orders), float(self.readouts.times[-1] - self.readouts.times[0])
+        platform, ends = x.platform(*self._nodes), []
+        for k in self.seen:
+            size = _DIFFERENCE / (span if "rate" in every[k] or "drift" in every[k] else 1.0)
+            moved = x.moved(size * (np.arange(len(every)) == k))
+            same = k >= every.index("triad.x")
+            left = self._residuals(moved, platform if same else moved.platform(*self._nodes))
+            ends.append((size, left))
+        made = []
+        for name, residual in self._residuals(x, platform).items():
+            columns = [(residual - left[name]).ravel() / size for size, left in ends]
+            factor: Array = np.linalg.qr(np.column_stack([*columns, residual.ravel()]), mode="r")  # type: ignore[assignment]
+            rows = float(residual.size)
+            if name == "force" and "force" in self.sources:
+                rows = 3.0 * sum(len(s.whitening) - s.slow[0].shape[1] for s in self.stretches)
+            made.append(Reduced(name, factor, rows))
         return made
 
-    def _force(self, x: Unknowns) -> Reduced:
-        parts = [stretch.rows(x) for stretch in self.stretches]
-        residual = np.concatenate([part.ravel() for part, _ in parts])
-        columns = np.concatenate([self._cut(part) for _, part in parts])
-        rows = 3.0 * sum(len(s.whitening) - s.slow[0].shape[1] for s in self.stretches)
-        return Reduced.of("force", residual, columns, rows)
+    @cached_property
+    def _nodes(self) -> list[Array]:
+        """Times and encoder angles of the record, at the half steps, too, where the force of a base at rest is taken."""
+        return [geometry.halved(v) if "rest" in self.sources else v for v in _nodes(self.readouts)]
 
-    def _rest(self, x: Unknowns) -> Reduced:
-        """Rows of the mean specific force over each step, on a base at rest, where it is known."""
-        r = self.readouts
-        half = [geometry.halved(v) for v in _nodes(r)]
-        attitude, _ = x.platform(*half)
-        felt = x.from_earth(attitude, half[0]) @ self.force_at_rest
-        e, _ = x.regressors(*(v[1::2] for v in half))
-        by_drift = attitude[1::2] * half[0][1::2, None, None]
-        turn = np.concatenate([e, attitude[1::2], by_drift, np.zeros_like(by_drift)], axis=2)
-        residual = r.increments / r.step - geometry.step_means(felt)
-        return Reduced.of("force", residual.ravel(), self._cut(np.cross(felt[1::2, :, None], turn, axis=1)))
-
-    def _cut(self, columns: Array) -> Array:
-        """Columns (n, p) of the observable unknowns; zero if the source does not contain them."""
-        flat = columns.reshape(-1, columns.shape[-1])
-        there = self.seen < flat.shape[1]
-        out = np.zeros((len(flat), len(self.seen)))
-        out[:, there] = flat[:, self.seen[there]]
-        return out
+    def _residuals(self, x: Unknowns, platform: tuple[Array, Array]) -> dict[str, Array]:
+        """Measured less predicted of each source, with ``x.platform`` at the nodes."""
+        r, left, (attitude, ring) = self.readouts, {}, platform
+        if {"gimbals", "rest"} & set(self.sources):
+            to_platform = x.from_earth(attitude, self._nodes[0])
+        if "gimbals" in self.sources:
+            shown = geometry.gimbals_of((to_platform[::2] if "rest" in self.sources else to_platform) @ x.base)
+            left["gimbals"] = geometry.wrapped(r.gimbals - shown)
+        if "pick-off" in self.sources:
+            left["pick-off"] = r.pickoff - ring
+        if "force" in self.sources:
+            left["force"] = np.concatenate([stretch.residuals(x) for stretch in self.stretches])
+        if "rest" in self.sources:  # the mean over each step
+            left["force"] = r.increments / r.step - geometry.step_means(to_platform @ self.force_at_rest)
+        return left

@@ -6,7 +6,6 @@ The quantities of a document are brought to SI (:func:`in_si`) before it is conv
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -36,43 +35,24 @@ class Place(TomlTable, frozen=True):
     height: Length = 0.0
 
 
-class _AngularSway(NamedTuple):
-    """``amplitude sin(2 pi t / period)`` of an angle: amplitude [rad], period [s]."""
-
-    amplitude: Angle = 0.0
-    period: Time = 10.0
-
-
-class LinearSway(NamedTuple):
-    """``amplitude sin(2 pi t / period)`` of a distance: amplitude [m], period [s]."""
-
-    amplitude: Length = 0.0
-    period: Time = 10.0
-
-
 class MotionPlan(TomlTable, frozen=True):
-    """``[motion]`` of the base: start attitude [rad], turn rate [rad/s]; sways are ``["amplitude", "period"]``."""
+    """``[motion]`` of the base: start attitude [rad], turn rate [rad/s]; sways ``amplitude sin(2 pi t / period)``.
+
+    A sway is ``["amplitude", "period"]`` [rad] or [m], [s].
+    """
 
     kind: Literal["static", "turn", "sway", "track"] = "static"
     roll: Angle = 0.0
     pitch: Angle = 0.0
     heading: Angle = 0.0
     turn_rate: _TurnRate = 0.0
-    roll_sway: _AngularSway = _AngularSway()
-    pitch_sway: _AngularSway = _AngularSway()
-    heading_sway: _AngularSway = _AngularSway()
-    north_sway: LinearSway = LinearSway()
-    east_sway: LinearSway = LinearSway()
-    down_sway: LinearSway = LinearSway()
+    roll_sway: tuple[Angle, Time] = (0.0, 10.0)
+    pitch_sway: tuple[Angle, Time] = (0.0, 10.0)
+    heading_sway: tuple[Angle, Time] = (0.0, 10.0)
+    north_sway: tuple[Length, Time] = (0.0, 10.0)
+    east_sway: tuple[Length, Time] = (0.0, 10.0)
+    down_sway: tuple[Length, Time] = (0.0, 10.0)
     file: str | None = None
-
-
-@dataclass(frozen=True)
-class Rotation:
-    """Case rotation: ``rate`` [rad/s] (0: cases at rest) and ``turns`` between reversals (0: none)."""
-
-    rate: float
-    turns: int = 0
 
 
 class Harmonic(NamedTuple):
@@ -162,6 +142,7 @@ class Compensation(TomlTable, frozen=True):
 class PlatformScenario:
     """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad].
 
+    ``polar_rotation`` and ``equatorial_rotation`` are the rates of the cases [rad/s] (0: cases at rest).
     ``triad``: rotation vector [rad] that carries inertial axes into the triad G at the start (what
     alignment has to find).
     """
@@ -171,8 +152,8 @@ class PlatformScenario:
     step: float = 1.0
     seed: int = 1
     motion: MotionPlan = field(default_factory=MotionPlan)
-    polar_rotation: Rotation = Rotation(0.0)
-    equatorial_rotation: Rotation = Rotation(0.0)
+    polar_rotation: float = 0.0
+    equatorial_rotation: float = 0.0
     polar: Gyro = field(default_factory=Gyro)
     equatorial: Gyro = field(default_factory=Gyro)
     redundancy: float = 0.0
@@ -202,18 +183,7 @@ class CaseRotationFile(TomlTable, frozen=True):
 
     period: Literal["none"] | Time = 480.0
     equatorial_period: Literal["none"] | Time | None = None
-    reversal: str = "none"
-
-    def rotation(self, period: float | str) -> Rotation:
-        """Rotation of a case with this period [s]."""
-        reverses = re.fullmatch(r"none|each-turn|([1-9]\d*) turns?", self.reversal)
-        if reverses is None:
-            raise ArgumentError(
-                f"[case_rotation] reversal = '{self.reversal}' is not known",
-                remedy="write 'none', 'each-turn' or e.g. '3 turns'",
-            )
-        turns = int(reverses[1] or self.reversal == "each-turn")
-        return Rotation(0.0 if isinstance(period, str) else 2.0 * math.pi / period, turns)
+    reversal: Literal["none"] = "none"
 
 
 class RedundancyFile(TomlTable, frozen=True):
@@ -259,6 +229,8 @@ class ScenarioFile(TomlTable, frozen=True):
     def build(self, path: Path) -> PlatformScenario:
         """The scenario of this file, which lies at ``path``. Refuses what cannot be simulated by its key."""
         motion, cases, c, step = self.motion, self.case_rotation, self.compensation, self.run.step
+        periods = (cases.period, cases.equatorial_period or cases.period)
+        rates = [0.0 if isinstance(period, str) else 2.0 * math.pi / period for period in periods]
         file = None if motion.file is None else str(path.parent / motion.file)
         scenario = PlatformScenario(
             place=self.site,
@@ -266,8 +238,8 @@ class ScenarioFile(TomlTable, frozen=True):
             step=step,
             seed=self.run.seed,
             motion=msgspec.structs.replace(motion, file=file),
-            polar_rotation=cases.rotation(cases.period),
-            equatorial_rotation=cases.rotation(cases.equatorial_period or cases.period),
+            polar_rotation=rates[0],
+            equatorial_rotation=rates[1],
             polar=self.polar,
             equatorial=self.equatorial,
             redundancy=self.redundancy.initial,
@@ -278,7 +250,7 @@ class ScenarioFile(TomlTable, frozen=True):
             damping_time=self.navigation.damping_time,
             source=str(path),
         )
-        steps, fastest = scenario.steps, max(scenario.polar_rotation.rate, scenario.equatorial_rotation.rate)
+        steps, fastest = scenario.steps, max(rates)
         for wrong, message, remedy in (
             (motion.kind == "track" and not motion.file,
              "[motion] kind = 'track' needs a file", "add file = 'track.csv'"),

@@ -91,8 +91,7 @@ def base_motion(scenario: PlatformScenario) -> BaseMotion:
     attitude, position = np.array([[plan.roll, plan.pitch, plan.heading]]), geometry.geodetic_to_earth(*place.T)
     force = geometry.specific_force_at_rest(position)
     if plan.kind == "turn":
-        attitude = attitude + np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0])
-        attitude[:, 2] = np.arctan2(np.sin(attitude[:, 2]), np.cos(attitude[:, 2]))
+        attitude = geometry.wrapped(attitude + np.outer(plan.turn_rate * times, [0.0, 0.0, 1.0]))
     if plan.kind == "sway":
         tilt, period = np.array([plan.roll_sway, plan.pitch_sway, plan.heading_sway]).T
         attitude = attitude + tilt * np.sin(2.0 * np.pi / period * times[:, None])
@@ -292,17 +291,12 @@ class PlatformRun(Result, Plotted):
         return doors().platform_figures().readouts_figure(self)
 
     def in_brief(self) -> list[tuple[str, str]]:
-        """Place, time, motion and cases."""
+        """Place, time and motion."""
         s = self.scenario
-        rates = (s.polar_rotation.rate, s.equatorial_rotation.rate)
-        cases = " and ".join(f"{2.0 * np.pi / rate / 60.0:.4g} min" if rate else "at rest" for rate in rates)
         return [
             ("place", f"latitude {np.degrees(s.place.latitude):.6g} deg, height {s.place.height:g} m"),
             ("duration", f"{s.duration / 3600.0:.6g} h, step {s.step:g} s"),
             ("motion", s.motion.kind),
-            ("turn of the cases", cases),
-            ("accelerometers", "ideal" if s.sensors.pigas is None else "piga"),
-            ("seed", str(s.seed)),
         ]
 
 
@@ -347,8 +341,8 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
         increments=increments,
         gimbals=_noisy(gimbals, sensors.gimbal_noise, sensors.gimbal_quantisation, streams[1]),
         pickoff=_noisy(ring, sensors.pickoff_noise, sensors.pickoff_quantisation, streams[2]),
-        encoder1=geometry.encoder_angle(s.polar_rotation, times),
-        encoder2=geometry.encoder_angle(s.equatorial_rotation, times),
+        encoder1=s.polar_rotation * times,
+        encoder2=s.equatorial_rotation * times,
         altitude=_noisy(motion.place[:, 2], sensors.altitude_noise, 0.0, streams[3], len(times)),
         turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
@@ -357,8 +351,8 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
 
 def _case_angles(s: PlatformScenario, times: Array) -> tuple[Array, Array]:
     """Case angles [rad] of the polar and the equatorial gyro, phases included."""
-    first = geometry.encoder_angle(s.polar_rotation, times) + s.polar.phase
-    return first, geometry.encoder_angle(s.equatorial_rotation, times) + s.equatorial.phase
+    first = s.polar_rotation * times + s.polar.phase
+    return first, s.equatorial_rotation * times + s.equatorial.phase
 
 
 def _drifted(s: PlatformScenario, half: Array, triad: Array, eta: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from piga._version import __version__
-from piga.gravity_norm.estimate import SetCalibration
+from piga.gravity_norm import SetCalibration
 from piga.reports.render.figure import Figure, Plot
 from piga.reports.render.numbers import fixed, pretty_unit, rounded, short
 from piga.reports.render.page import Notice, Page, Section, Table, TableOf, Text, Tile, origin

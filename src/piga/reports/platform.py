@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from piga.platform.chain import BudgetRow, ModelComparisonRun, case_rates, last_
 from piga.platform.geometry import apparent_gyro, wrapped
 from piga.platform.identify import (
     UNKNOWN_PHASE,
-    UNKNOWNS,
     Alignment,
     Identification,
     Parameter,
@@ -21,7 +20,7 @@ from piga.platform.scenario import Gyro, Model, PlatformScenario
 from piga.platform.simulate import PlatformRun
 from piga.reports.render.figure import XYZ, Figure, Plot, Role
 from piga.reports.render.numbers import fixed, short, signed, significant
-from piga.reports.render.page import Cell, Content, Notice, Page, Section, Table, TableOf, Text, Tile, sections
+from piga.reports.render.page import Content, Notice, Page, Section, Table, TableOf, Text, Tile, sections
 from piga.results import Array
 from piga.units import ARCMIN, ARCSEC, DAY
 
@@ -103,9 +102,7 @@ def simulation_page(run: PlatformRun) -> Page:
     return page("Platform simulation", s, tiles, shown)
 
 
-def identification_page(
-    run: PlatformRun, identification: Identification, sources: Sequence[Mapping[str, Any]]
-) -> Page:
+def identification_page(run: PlatformRun, identification: Identification) -> Page:
     """Page of ``piga platform identify``."""
     s, tiles = run.scenario, []
     for gyro in ("polar", "equatorial"):
@@ -115,10 +112,7 @@ def identification_page(
     tiles.append(Tile("condition", short(identification.condition), "", " + ".join(identification.sources)))
     notes = (Notice("info", note) for note in identification.notes)
     found: tuple[Content, ...] = (_parameter_table(identification, s), *notes)
-    shown = (
-        Section("Misalignments, phases and harmonics", "parameters", found),
-        Section("What each source can tell", "observability", (_observability_table(sources),)),
-    )
+    shown = (Section("Misalignments, phases and harmonics", "parameters", found),)
     return page("Platform identification", s, tuple(tiles), shown)
 
 
@@ -146,20 +140,6 @@ def _truth_table(s: PlatformScenario) -> Table:
             rows.append((f"{name} {words}", pair, "deg/h"))
     table = TableOf(rows).text("quantity", lambda row: row[0]).number("value", lambda row: row[1])
     return table.text("unit", lambda row: row[2]).table()
-
-
-def _observability_table(sources: Sequence[Mapping[str, Any]]) -> Table:
-    def arcsec(row: Mapping[str, Any], name: str) -> str:
-        std = row["std_rad"][name]
-        return short(std / ARCSEC) if std is not None and std < 1.0 else "–"
-
-    table = TableOf(sources).text("source", lambda row: row["source"])
-    table.number("condition", lambda row: short(row["condition"]) if row["separable"] else "–")
-    table.across(UNKNOWNS, str, arcsec, lambda _: "arcsec")
-    table.text("verdict", lambda row: Cell(row["verdict"], "good" if row["separable"] else "doubtful"))
-    return table.table(
-        notes=("u and v are m cos(phase) and m sin(phase); uncertainties at the noise of this record.",)
-    )
 
 
 def _alignment_rows(run: PlatformRun, aligned: Alignment) -> Iterator[tuple[str, ...]]:
@@ -285,7 +265,7 @@ def _budget_table(budget: Sequence[BudgetRow]) -> Table:
         .number("position", lambda b: short(b.position_linear_m), "m")
         .number("velocity", lambda b: short(1e3 * b.velocity_linear_m_s), "mm/s")
     )
-    return table.table(notes=("Largest horizontal error over the run by the linear model, base at rest.",))
+    return table.table(notes=("Largest horizontal error over the run, base at rest.",))
 
 
 # -- figures ---------------------------------------------------------------------------------------

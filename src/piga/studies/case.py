@@ -70,32 +70,25 @@ class Case(TomlTable, frozen=True):
         return {key: finite(getattr(self, key)) for key in keys.split()}
 
 
-@dataclass(frozen=True)
-class Chapter:
-    """Cases and figures of one part of a publication. ``text`` describes the method and the result."""
+class Chapter(TomlTable, frozen=True):
+    """One part of a publication, as ``published.toml`` has it: ``text`` describes method and result; cases by name, in order.
 
-    id: str
-    title: str
-    source: str
-    text: str
-    cases: tuple[Case, ...]
-    figures: tuple[Figure, ...]
-
-
-class PublishedChapter(TomlTable, frozen=True):
-    """A chapter as ``published.toml`` has it; its cases by name, in order."""
+    ``id`` and ``figures`` come from the run.
+    """
 
     title: str
     source: str
     text: str
     cases: dict[str, Case]
+    id: str = ""
+    figures: tuple[Any, ...] = ()
 
 
 @cache
-def published_chapters() -> dict[str, PublishedChapter]:
+def published_chapters() -> dict[str, Chapter]:
     """Every chapter of ``published.toml``, in the order of the publications."""
     text = files("piga.data").joinpath("published.toml").read_bytes()
-    return msgspec.toml.decode(text, type=dict[str, PublishedChapter])
+    return msgspec.toml.decode(text, type=dict[str, Chapter])
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,7 @@ def chapter_of(name: str, values: Mapping[str, float | Value], figures: Sequence
     if set(values) != set(printed.cases):
         raise ValueError(f"{name}: the cases differ: {sorted(set(values) ^ set(printed.cases))}")
     held = {key: given if isinstance(given, Value) else Value(given) for key, given in values.items()}
-    cases = []
+    cases = {}
     for key, case in printed.cases.items():
         value = held[key]
         of_run = {
@@ -123,9 +116,9 @@ def chapter_of(name: str, values: Mapping[str, float | Value], figures: Sequence
             "quantity": case.quantity.format(**value.words),
             "note": case.note.format(**value.words),
         }
-        cases.append(msgspec.structs.replace(case, id=f"{name}.{key}", computed=value.computed, **of_run))
+        cases[key] = msgspec.structs.replace(case, id=f"{name}.{key}", computed=value.computed, **of_run)
     text = printed.text.format(**{key: value.computed for key, value in held.items()})
-    return Chapter(name, printed.title, printed.source, text, tuple(cases), tuple(figures))
+    return msgspec.structs.replace(printed, id=name, text=text, cases=cases, figures=tuple(figures))
 
 
 SCALE: Final = "0.8884 rad/s/g"

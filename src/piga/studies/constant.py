@@ -185,12 +185,9 @@ def examples() -> Chapter:
         else:
             values[f"{name}.end"] = math.degrees(float(closed_form(INSTRUMENT, _LATE, *force)[1]))
         drawn = slice(0, 401 if example.number == 4 else None, 5)
-        title = f"{example.number}  {example.title}: a_x = {example.in_g[0]:.5g} g"
-        plot.panel("time [s]", "output rate [deg/s]", title)
-        shown, dots = t[drawn], slice(0, drawn.stop, 10 if example.number == 4 else 50)
-        plot.dashed(shown, np.full_like(shown, math.degrees(ideal)), "ideal: K a_x")
-        plot.line(shown, np.degrees(rate[drawn]), "cross-coupled: closed form", "after")
-        plot.points(t[dots], np.degrees(published[dots]), "published form", "before")
+        plot.panel("time [s]", "output rate [deg/s]", f"{example.number}  {example.title}")
+        plot.level(t[drawn], math.degrees(ideal), "ideal: K a_x")
+        plot.line(t[drawn], np.degrees(rate[drawn]), "cross-coupled: closed form", "after")
     figure = plot.caption(
         "Dashed: what an ideal instrument would turn. In regimes 1 to 3 the rate dies although in 2 and 3 there is "
         "specific force along the input axis; in regime 4 it swings about a mean just below the ideal line."

@@ -33,14 +33,13 @@ from piga.platform.scenario import (
     Model,
     Place,
     PlatformScenario,
-    Rotation,
 )
 from piga.platform.simulate import TRIPOD, locked, mounting_axes, simulate
 from piga.progress import Progress, Steps
 from piga.reports.platform import lines_figure, page, published_figure, schuler_peak, time_axis
 from piga.reports.render.figure import Figure, Plot, Role
 from piga.reports.render.numbers import short
-from piga.reports.render.page import Page, Section, TableOf, Tile
+from piga.reports.render.page import Page, Section, TableOf
 from piga.results import Array, Result
 from piga.studies.case import Chapter, chapter_of, published_chapters
 from piga.units import ARCMIN, DAY
@@ -122,8 +121,8 @@ def scenario(*, wobble: bool) -> PlatformScenario:
         Place(LATITUDE, math.radians(116.0)),
         duration=_DAYS * DAY,
         step=STEP,
-        polar_rotation=Rotation(CASE_RATE),
-        equatorial_rotation=Rotation(CASE_RATE),
+        polar_rotation=CASE_RATE,
+        equatorial_rotation=CASE_RATE,
         polar=polar,
         equatorial=msgspec.structs.replace(equatorial, drift=(_DRIFT, 0.0)),
         compensation=Compensation(models=models),
@@ -190,12 +189,8 @@ def wobble() -> Chapter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CapstoneOutcome(Result):
-    """Errors of one way to mount and read the instruments.
+    """One way to mount and read the instruments: errors, locked time [s/day] of each, noise against three axes at right angles."""
 
-    Locked time [s/day] of each instrument; noise against that of three axes at right angles.
-    """
-
-    sentence: str
     errors: Errors
     locked_per_day: Array
     noise_gain: float
@@ -219,15 +214,15 @@ class Capstone(Result):
     outcomes: Mapping[str, CapstoneOutcome]
 
 
-_READINGS: dict[str, tuple[dict[str, Any] | None, str, Role, bool]] = {
-    "ideal": (None, "ideal accelerometers: the platform and the navigator alone", "reference", True),
-    "raw tripod": ({"cone": TRIPOD, "output": "raw"}, "three axes at right angles, output taken as alpha'/K", "before", False),
-    "raw skewed": ({"output": "raw"}, "axes within {:.0f} deg of the pole: never locked, still pulled", "warning", False),
-    "triad": ({"cone": TRIPOD}, "right angles, effective axes solved per sample", "after", False),
-    "triad skewed": ({}, "skewed and solved per sample", "model", True),
-    "triad, calibrated": ({"cone": TRIPOD}, "solved with tan(beta) and phase off by a calibration's error", "z", True),
+_READINGS: dict[str, tuple[dict[str, Any], str, Role]] = {
+    "ideal": ({}, "ideal accelerometers: the platform and the navigator alone", "reference"),
+    "raw tripod": ({"cone": TRIPOD, "output": "raw"}, "three axes at right angles, output taken as alpha'/K", "before"),
+    "raw skewed": ({"output": "raw"}, "axes near the pole: never locked, still pulled", "warning"),
+    "triad": ({"cone": TRIPOD}, "right angles, compensated as a set", "after"),
+    "triad skewed": ({}, "axes near the pole, compensated as a set", "model"),
+    "triad, calibrated": ({"cone": TRIPOD}, "the same with tan(beta) and phase off by a calibration's error", "z"),
 }  # fmt: skip
-"""Readings compared, from the ideal instrument to the locked one, and back: what they change, a sentence, how they are drawn."""
+"""Readings compared, from the ideal instrument to the locked one, and back: what they change, a sentence, their colour."""
 
 
 def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) -> Capstone:
@@ -252,14 +247,16 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
         off = {"tan_beta_error": 2e-3 * sensors.tan_beta, "phase_error": 2e-3}
     steps = Steps(progress, 2 + len(_READINGS))
     steps("simulating")
-    ideal = simulate(replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, piga=None)))
+    ideal = simulate(
+        replace(scenario, sensors=msgspec.structs.replace(scenario.sensors, accelerometers="ideal"))
+    )
     steps("identifying and aligning")
     preparation = prepare(ideal)
     outcomes = {}
-    for name, (changes, sentence, *_) in _READINGS.items():
+    for name, (changes, *_) in _READINGS.items():
         steps(f"navigating, {name}")
         run, axes, inside = ideal, np.eye(3), np.zeros(3)
-        if changes is not None:
+        if name != "ideal":
             wrong = off if name.endswith("calibrated") else dict.fromkeys(off, 0.0)
             given = {"mounting": "skewed", "output": "triad"} | wrong | changes
             used = msgspec.structs.replace(sensors, **given)
@@ -267,9 +264,8 @@ def capstone(scenario: PlatformScenario, *, progress: Progress | None = None) ->
             run = simulate(read, motion=ideal.truth.motion)
             axes, inside = mounting_axes(used)[:, 0, :], locked(used, run.truth.force).mean(axis=0) * DAY
         gain = float(np.sqrt(np.trace(np.linalg.inv(axes.T @ axes)) / 3.0))
-        words = sentence.format(np.degrees(sensors.cone))
         left = run_model(run, preparation, "B", every=max(1, round(10.0 / scenario.step))).errors
-        outcomes[name] = CapstoneOutcome(words, left, inside, gain)
+        outcomes[name] = CapstoneOutcome(left, inside, gain)
     steps.finish()
     return Capstone(scenario, outcomes)
 
@@ -281,40 +277,31 @@ def capstone_figure(capstone: Capstone) -> Figure:
     plot = Plot("fig-capstone", title, axis, "log horizontal position error [m]", height=3.6)
     for name, o in capstone.outcomes.items():
         peak = np.maximum(schuler_peak(o.errors.times, o.errors.horizontal), 1e-4)
-        *_, role, dashed = _READINGS[name]
-        plot.line(o.errors.times / unit, peak, name, role, dashed=dashed)
+        plot.line(o.errors.times / unit, peak, name, _READINGS[name][2], dashed="," in name or name == "ideal")
     return plot.caption("Largest error within each 84 minutes.")
 
 
 def capstone_page(capstone: Capstone) -> Page:
     """Page on the effect of the locked zone on the platform, and its compensation."""
     o = capstone.outcomes
-    position = {name: short(one.position) for name, one in o.items()}
-    tiles = (
-        Tile(
-            "raw output", position["raw tripod"], "m", "largest horizontal error, axes at right angles", "bad"
-        ),
-        Tile("skewed mounting", position["raw skewed"], "m", "raw output, axes near the pole", "doubtful"),
-        Tile("triad solved", position["triad"], "m", "effective axes, per sample", "good"),
-    )
     story = (
         "The platform stands still in inertial space and the Earth turns under it. Each input axis crosses the "
         "horizontal twice a sidereal day and is inside its locked zone for "
         f"{short(float(o['raw tripod'].locked_per_day.max()))} s a day: too short to lock, but about it the gimbal turns so "
         "slowly that its cross-coupling does not average out.\n\n"
         "Mounted within the latitude of the pole the axes never come to the horizontal, with "
-        f"{short(o['raw skewed'].noise_gain)} times the noise. Solved together with their effective axes the three "
-        f"instruments give the force back in any mounting, against {position['ideal']} m with ideal ones."
+        f"{short(o['raw skewed'].noise_gain)} times the noise. Compensated as a set, the three instruments give the force "
+        "back in any mounting."
     )
     table = (
         TableOf(o.items())
         .text("reading", lambda row: row[0])
-        .number("position error", lambda row: position[row[0]], "m")
+        .number("position error", lambda row: short(row[1].position), "m")
         .number("velocity error", lambda row: short(1e3 * row[1].velocity), "mm/s")
         .number("locked", lambda row: short(float(row[1].locked_per_day.max())), "s/day")
         .number("noise gain", lambda row: short(row[1].noise_gain))
-        .text("what it is", lambda row: row[1].sentence)
+        .text("what it is", lambda row: _READINGS[row[0]][1])
         .table(notes=("Locked: longest of the three. Noise gain: against three axes at right angles.",))
     )
     sections = (Section("What happens", "story", (story, capstone_figure(capstone), table)),)
-    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, tiles, sections)
+    return page("Gyro accelerometers on the space-stable platform", capstone.scenario, (), sections)

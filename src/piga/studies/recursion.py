@@ -16,7 +16,7 @@ from piga.compensation import compensate
 from piga.errors import CalibrationError
 from piga.instrument import ErrorModel, Instrument, closed_form, dead_zone, mean_rate, propagate
 from piga.records import Calibration, Run
-from piga.reports.render.figure import Figure, Plot, Role
+from piga.reports.render.figure import Plot, Role
 from piga.results import Array
 from piga.studies.case import INSTRUMENT, RATIO, SCALE, TRANSVERSE, Chapter, Value, chapter_of
 from piga.units import ARCSEC, G0
@@ -77,14 +77,10 @@ def model_error(value: Mapping[str, float], force: Array, phase: Array) -> Array
     return np.asarray(value["tan_beta"] * a_Y * np.sin(phase + value["phi"]) + k0 + k1 * a_x + k2 * a_x**2)
 
 
-def values_of(calibration: Calibration) -> dict[str, float]:
-    """Values of the coefficients by name."""
-    return {c.name: c.value for c in calibration.coefficients}
-
-
 def model_residual(run: Run, calibration: Calibration) -> Array:
     """Error that remains after the published model, at its own phase [g] (a_Z = 0)."""
-    return np.asarray(raw_error(run) - model_error(values_of(calibration), run.f, model_phase(run)))
+    values = {c.name: c.value for c in calibration.coefficients}
+    return np.asarray(raw_error(run) - model_error(values, run.f, model_phase(run)))
 
 
 def compensated_error(run: Run, calibration: Calibration, method: str) -> Array:
@@ -231,14 +227,9 @@ def run() -> Chapter:
     error, late = raw_error(log), log.f[:, 0] > 0.5 * RAMP_TOP * G0
     growth = float(np.abs(error[late] / (log.f[late, 0] / G0)).max())
     values = {"error": float(np.abs(error).max()), "growth": growth}
-    drawn = slice(None, None, _EVERY)
-    a_x, error = log.f[drawn, 0] / G0, error[drawn]
-    plot = Plot("time-varying-run", "Error of the indication, a_Y = 5 a_x", columns=2, height=2.6)
-    plot.panel("true acceleration a_x [g]", "error [g]", "Error against the input")
-    plot.band(a_x, -RATIO * a_x, RATIO * a_x, "envelope 5 a_x tan(beta)")
-    plot.line(a_x, error, "error of the indication", "after")
-    plot.panel("revolutions of the gimbal", "error [g]", "One period a revolution")
-    plot.line(model_phase(log)[drawn] / (2.0 * np.pi), error, "error of the indication", "after")
+    a_x, error = log.f[::_EVERY, 0] / G0, error[::_EVERY]
+    plot = Plot("time-varying-run", "Error of the indication", "true acceleration a_x [g]", "error [g]")
+    plot.band(a_x, -RATIO * a_x, RATIO * a_x, "envelope 5 a_x tan(beta)").line(a_x, error, "error", "after")
     figure = plot.caption("The error reaches 0.05 g at 2 g and repeats with each revolution.")
     return chapter_of("time-varying", values, (figure,))
 
@@ -375,7 +366,7 @@ def _noisy_successes() -> tuple[int, int]:
 
 
 def five() -> Chapter:
-    """Error curve, fit overlay and recovered values, for the published method and piga's."""
+    """Recovered values, for the published method and piga's."""
     own = calibrate(_real_record(), terms=TERMS)
     real, modelled = (published_recursion(run, TERMS) for run in (_real_record(), _model_record()))
     values: dict[str, float | Value] = {}
@@ -385,32 +376,4 @@ def five() -> Chapter:
         values[f"{name}-real"] = real[name].value
     old, new = _noisy_successes()
     values |= {"successes-published": float(old), "successes": float(new)}
-    return chapter_of("five-coefficients", values, (_five_figure(own, real),))
-
-
-def _five_figure(own: Calibration, published: Calibration) -> Figure:
-    """The error of the record [g] over ten samples, and what both calibrations leave of it."""
-    run = _real_record()
-    ends, psi, ideal = run.t[::10], run.output[::10], model_phase(run)[::10]
-    error = np.diff(psi - ideal) / run.scale_factor / np.diff(ends) / G0
-    t = 0.5 * (ends[1:] + ends[:-1])
-    force = five_force(t)
-    fit = model_error(values_of(own), force, 0.5 * (psi[1:] + psi[:-1]))
-    old = model_error(values_of(published), force, np.interp(t, run.t, model_phase(run)))
-    plot = Plot("five-fit", "Fit of the five coefficients", columns=2, height=2.4)
-    for begin, end in ((100.0, 130.0), (215.0, 245.0)):
-        part = (t > begin) & (t < end)
-        plot.panel("time [s]", "error of the indication [mg]")
-        plot.points(t[part], 1e3 * error[part], "record", "muted")
-        plot.line(t[part], 1e3 * old[part], "published method", "before")
-        plot.line(t[part], 1e3 * fit[part], "linear estimator", "after")
-    plot.panel("time [s]", "residual [mg]", "Left by the published method").line(
-        t, 1e3 * (error - old), role="before"
-    )
-    plot.panel("time [s]", "residual [mg]", "Left by the linear estimator").line(
-        t, 1e3 * (error - fit), role="after"
-    )
-    return plot.caption(
-        "Above: thirty seconds of the rise and of the fast changes. Below: what each method leaves (means over 0.2 s). Good is "
-        "noise without a trace of the gimbal's turns."
-    )
+    return chapter_of("five-coefficients", values)

@@ -20,7 +20,6 @@ from piga.reports.render.page import (
     Section,
     Table,
     TableOf,
-    Tile,
     Tone,
     named_values,
 )
@@ -125,7 +124,7 @@ class Reproduction:
     @property
     def cases(self) -> tuple[Case, ...]:
         """All cases in order."""
-        return tuple(case for chapter in self.chapters for case in chapter.cases)
+        return tuple(case for chapter in self.chapters for case in chapter.cases.values())
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -188,20 +187,11 @@ def _number(value: float | None, digits: int = 6) -> str:
 
 def reproduction_page(reproduction: Reproduction) -> Page:
     """All tables and figures on one page, with sections by publication."""
-    counts = {verdict: sum(case.verdict == verdict for case in reproduction.cases) for verdict in TONES}
-    of = f"in {len(reproduction.chapters)} chapters, with {len(reproduction.figures)} figures"
-    tiles = (
-        Tile("Cases", str(len(reproduction.cases)), detail=of),
-        Tile("Agree", str(counts["pass"]), detail="within the tolerance in their note", tone="good"),
-        Tile("Disagree", str(counts["fail"]), tone="bad" if counts["fail"] else "good"),
-        Tile("For information", str(counts["info"]), detail="no comparable published number", tone="quiet"),
-    )
     sources = ((f"[{key}]", text) for key, text in SOURCES.items())
     listed = Section("Sources", "sources", (named_values("key", "publication", sources),))
     return Page(
         title="The published cases, reproduced",
-        subtitle="Every number and figure of three publications beside ours, and what they got wrong.",
-        tiles=tiles,
+        subtitle=f"{summary(reproduction)}. Every number of three publications beside ours, and what they got wrong.",
         sections=(*map(_section, reproduction.chapters), listed),
         kicker="piga · reproduction",
         footer=f"Made by piga {reproduction.version}; every computed number comes from this run.",
@@ -217,7 +207,7 @@ def _section(chapter: Chapter) -> Section:
 
 def _numbers(chapter: Chapter) -> Table:
     return (
-        TableOf(chapter.cases)
+        TableOf(chapter.cases.values())
         .text("case", lambda case: case.id.partition(".")[2])
         .text("quantity", lambda case: case.quantity)
         .number("published", lambda case: _number(case.published))
@@ -232,7 +222,7 @@ def _numbers(chapter: Chapter) -> Table:
 
 def _notes(chapter: Chapter) -> Table:
     return (
-        TableOf(chapter.cases)
+        TableOf(chapter.cases.values())
         .text("case", lambda case: case.id.partition(".")[2])
         .text("source", lambda case: case.source)
         .text("why this tolerance, or none", lambda case: case.note)

@@ -32,12 +32,7 @@ _LOCKING = 0.85
 turn much there."""
 _FEWEST_TURNS = 3
 """Fewest turns beyond one for each position."""
-_WHY = {
-    "no-whole-revolution": "the output does not turn once",
-    "force-not-constant": "the specific force changes while the output turns",
-    "near-lock": f"the lock zone is above {_LOCKING:g} of the drive",
-}
-"""Why a position is left out, by kind of the event."""
+_NO_TURN = "the output does not turn once"
 
 
 def whole_turns(run: Run) -> Run:
@@ -61,32 +56,26 @@ def whole_turns(run: Run) -> Run:
             run, make_request(run, method="information", phases="per-segment", phase_source="output")
         ).run
     positions: list[tuple[int, slice, Array, float]] = []
-    left_out: dict[str, list[str]] = {kind: [] for kind in _WHY}
+    left_out: dict[str, list[str]] = {}
     for index, label in enumerate(run.labels):
         stretch = _longest_stretch(run, index)
         position = _position(run, stretch)
         if isinstance(position, str):
-            left_out[position].append(label)
+            left_out.setdefault(position, []).append(label)
         else:
             positions.append((index, stretch, *position))
     turns = sum(at.size - 1 for *_, at, _ in positions)
     if turns < len(positions) + _FEWEST_TURNS:
-        short = left_out["no-whole-revolution"]
+        short = left_out.get(_NO_TURN)
         raise CalibrationError(
             f"the output makes {turns} whole turns in {len(positions)} positions"
             + (f"; not one in {', '.join(short[:6])}" if short else ""),
             remedy="record longer, name the positions in [data] segment, or calibrate the record as it is",
         )
-    events = [
-        Event(
-            kind,
-            len(labels),
-            None,
-            f"positions {', '.join(labels[:8])}{' ...' * (len(labels) > 8)}: {_WHY[kind]}; left out",
-        )
-        for kind, labels in left_out.items()
-        if labels
-    ]
+    events = []
+    for why, labels in left_out.items():
+        named = f"positions {', '.join(labels[:8])}{' ...' * (len(labels) > 8)}"
+        events.append(Event("position-left-out", len(labels), None, f"{named}: {why}; left out"))
     quality = replace(run.quality, events=(*run.quality.events, *events))
     model = msgspec.structs.replace(run.model, compare=())
     return replace(_run_of_turns(run, positions), quality=quality, model=model)
@@ -106,13 +95,13 @@ def _position(run: Run, stretch: slice) -> tuple[Array, float] | str:
     x = np.maximum.accumulate(np.abs(output - output[0]))
     count = int(x[-1] / _FULL_TURN)
     if count < 1:
-        return "no-whole-revolution"
+        return _NO_TURN
     if np.ptp(force, axis=0).max() > _STEADY * np.linalg.norm(force, axis=1).max():
-        return "force-not-constant"
+        return "the specific force changes while the output turns"
     inner = np.interp(_FULL_TURN / _PARTS * np.arange(_PARTS * count + 1), x, t)
     ratio = ripple(np.diff(inner).reshape(count, _PARTS).mean(axis=0))
     if ratio > _LOCKING:
-        return "near-lock"
+        return f"the lock zone is above {_LOCKING:g} of the drive"
     sign = float(np.sign(output[-1] - output[0]))
     return inner[::_PARTS], sign * _FULL_TURN / float(np.sqrt(1.0 - ratio**2))
 

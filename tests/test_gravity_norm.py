@@ -14,7 +14,34 @@ import piga
 from piga.errors import ArgumentError, DataError, IdentifiabilityError, RunFileError
 from piga.gravity_norm import calibrate_set_file, is_set_file
 from tests.cli.runner import outcome
-from tests.gravity_norm.simulated import BIAS, LOWER, STEP, G, directions, record
+
+G = 9.81
+STEP = 0.02
+LOWER = np.array([[400.0, 0.0, 0.0], [2.0, 410.0, 0.0], [-3.0, 5.0, 420.0]])
+"""Sensitivities [count/(m/s^2)]."""
+BIAS = np.array([100.0, -250.0, 40.0])
+
+
+def directions(rng: np.random.Generator, count: int):
+    """Directions all over the sphere, in random order."""
+    vectors = rng.standard_normal((count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+def record(rng: np.random.Generator, attitudes, matrix=LOWER, bias=BIAS, scatter=0.05, noise=2.0, dwell=3.0):
+    """Time and outputs: each attitude held for ``dwell`` seconds, and half a second of motion before the next.
+
+    ``scatter`` [count] is that of the bias from spell to spell, ``noise`` [count] white.
+    """
+    still, moving = int(dwell / STEP), int(0.5 / STEP)
+    parts = []
+    for direction in attitudes:
+        base = matrix @ (G * direction) + bias + scatter * rng.standard_normal(len(bias))
+        parts.append(np.tile(base, (still, 1)))
+        wave = np.sin(np.linspace(0.0, 9.0, moving))[:, None] * rng.uniform(500.0, 1500.0, len(bias))
+        parts.append(base + wave)
+    outputs = np.concatenate(parts)
+    return STEP * np.arange(len(outputs)), outputs + noise * rng.standard_normal(outputs.shape)
 
 
 def truth(matrix, bias, lower=True):
@@ -123,7 +150,7 @@ def test_too_few_spells_and_wrong_shapes():
         piga.calibrate_set(t, np.round(outputs / 1e4), G)
 
 
-DATA = Path(__file__).parents[2] / "validation" / "data"
+DATA = Path(__file__).parents[1] / "validation" / "data"
 
 
 def test_the_published_record_of_an_xsens():

@@ -1,7 +1,11 @@
-"""Bias, scale factor and axes of three or more accelerometers from static spells: the size of gravity is the reference.
+"""Calibration of a set of accelerometers by the size of gravity alone, in many static attitudes.
 
 Spells and the scan of their threshold: [Tedaldi2014]. Intervals: the bias-reduced sandwich over the spells
 (:mod:`piga.calibration.intervals`).
+
+>>> from piga.gravity_norm import calibrate_set
+>>> calibrate_set.__name__
+'calibrate_set'
 """
 
 from __future__ import annotations
@@ -42,6 +46,16 @@ from piga.upper import doors
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
+
+__all__ = [
+    "SetCalibration",
+    "SetFile",
+    "SetTerm",
+    "Spell",
+    "calibrate_set",
+    "calibrate_set_file",
+    "is_set_file",
+]
 
 Convention = Literal["upper", "lower"]
 _MULTIPLES = tuple(float(k) for k in range(2, 11))
@@ -137,10 +151,6 @@ class SetCalibration(Reported, Plotted, Result):
     def _subject(self) -> ModuleType:
         return doors().shown_set()
 
-    def in_brief(self) -> list[tuple[str, str]]:
-        """The terms."""
-        return [(term.key, f"{term.value:.8g} +- {term.expanded:.2g} {term.unit}") for term in self.terms]
-
 
 def _activity(t: Array, y: Array, window: float) -> tuple[Array, int]:
     """Variance in a window around each sample over that of quiet windows, and the samples of half a window.
@@ -217,29 +227,29 @@ def calibrate_set(
         )
     names = names or tuple(f"{k + 1}" for k in range(y.shape[1]))
     activity, half = _activity(t, y, window)
-    size = np.ptp(y, axis=0) / gravity
-    model, y = _Model(y.shape[1], convention, gravity), y / size
+    pairs = [(i, j) for i in range(3) for j in range(3) if (j > i if convention == "upper" else j < i)]
+    size, count, most = np.ptp(y, axis=0) / gravity, 4 * y.shape[1] - 3, 0
+    y = y / size
     best: tuple[float, float, tuple[Spell, ...], Array, OptimizeResult] | None = None
-    most = 0
     for multiple in _MULTIPLES:
         spells = _spells(t, activity, half, multiple)
         most = max(most, len(spells))
-        freedom = len(spells) * (y.shape[1] - 2) - model.size
+        freedom = len(spells) * (y.shape[1] - 2) - count
         if freedom > 0:
             at = np.searchsorted(t, [[s.begin, s.end] for s in spells])
             means = np.array([y[a : b + 1].mean(axis=0) for a, b in at])
-            fit = model.fit(means)
+            fit = _fit(means, pairs, gravity)
             rms = math.sqrt(2.0 * fit.cost / freedom)
             best = (rms, multiple, spells, means, fit) if best is None or rms < best[0] else best
     if best is None:
         raise DataError(
-            f"{most} static spells are found, and {model.size} terms need {model.size // (y.shape[1] - 2) + 1} or more",
+            f"{most} static spells are found, and {count} terms need {count // (y.shape[1] - 2) + 1} or more",
             remedy="hold the set still for some seconds in more attitudes, or choose a shorter window",
         )
     rms, multiple, spells, means, fit = best
-    _check_spread(_force(means, *model.sensitivities(fit.x)) / gravity)
-    keys, units, scale = model.keys(names), np.array(model.units(unit)), model.scale(size)
-    correlation, remarks = _told(fit.jac, keys)
+    keys, units, scale = _terms(names, unit, pairs, size)
+    directions = _force(means, *_sensitivities(fit.x, y.shape[1], pairs)) / gravity
+    correlation, remarks = _told(fit.jac, keys, directions)
     rows = fit.fun.reshape(len(spells), -1)
     parts = np.concatenate((-fit.jac.reshape(*rows.shape, -1), rows[:, :, None]), axis=-1)
     u, degrees = sandwich(
@@ -251,11 +261,11 @@ def calibrate_set(
         keys,
     )
     values = fit.x * scale
-    inherited = np.where(units == units[model.count], np.abs(values), 0.0) * gravity_std / gravity
-    both = np.stack((u * scale, inherited), axis=-1)
+    of_gravity = np.array([one.endswith("/(m/s^2)") for one in units])
+    both = np.stack((u * scale, np.where(of_gravity, np.abs(values), 0.0) * gravity_std / gravity), axis=-1)
     std = np.hypot(*both.T)
     freedoms = welch_satterthwaite(both, np.stack((degrees, np.full(u.size, np.inf)), axis=-1))
-    matrix, bias = model.sensitivities(values)
+    matrix, bias = _sensitivities(values, y.shape[1], pairs)
     return SetCalibration(
         serial=serial,
         names=names,
@@ -263,7 +273,7 @@ def calibrate_set(
         convention=convention,
         gravity=gravity,
         gravity_std=gravity_std,
-        terms=tuple(map(SetTerm, keys, values.tolist(), std.tolist(), freedoms.tolist(), units.tolist())),
+        terms=tuple(map(SetTerm, keys, values.tolist(), std.tolist(), freedoms.tolist(), units)),
         covariance=correlation * np.outer(std, std),
         matrix=matrix,
         bias=bias,
@@ -274,108 +284,86 @@ def calibrate_set(
     )
 
 
+def _terms(
+    names: tuple[str, ...], unit: str, pairs: list[tuple[int, int]], size: Array
+) -> tuple[tuple[str, ...], tuple[str, ...], Array]:
+    """Key, unit, and size of one unit of each parameter, where ``size`` is that of each output.
+
+    Parameters: biases, scale factors, non-orthogonality, sensitivities of further accelerometers.
+    """
+    axes, each, scale = "XYZ", list(zip(names, size, strict=True)), f"{unit}/(m/s^2)"
+    rows = [(f"bias[{name}]", unit, one) for name, one in each]
+    rows += [(f"scale_factor[{name}]", scale, one) for name, one in each[:3]]
+    rows += [(f"m_{axes[j]}[{names[i]}]", "rad", 1.0) for i, j in pairs]
+    rows += [(f"s_{axis}[{name}]", scale, one) for name, one in each[3:] for axis in axes]
+    keys, units, sizes = zip(*rows, strict=True)
+    return keys, units, np.array(sizes)
+
+
+def _sensitivities(parameters: Array, count: int, pairs: list[tuple[int, int]]) -> tuple[Array, Array]:
+    """Matrix (n, 3) and biases (n,) of ``count`` accelerometers."""
+    bias, scale, skew, further = np.split(parameters, [count, count + 3, count + 6])
+    matrix = np.diag(scale)
+    for (i, j), value in zip(pairs, skew, strict=True):
+        matrix[i, j] = scale[i] * value
+    return np.concatenate((matrix, further.reshape(-1, 3))), bias
+
+
 def _force(outputs: Array, matrix: Array, bias: Array) -> Array:
     size = np.linalg.norm(matrix, axis=1)
     return np.asarray(((outputs - bias) / size) @ np.linalg.pinv(matrix / size[:, None]).T)
 
 
-@dataclass
-class _Model:
-    """Residuals of a set of ``count`` accelerometers. Parameters: biases, scale factors, non-orthogonality, further rows."""
+def _fit(means: Array, pairs: list[tuple[int, int]], gravity: float) -> OptimizeResult:
+    """The least sum of squares. It starts at the ellipsoid's box, with all axes orthogonal.
 
-    count: int
-    convention: Convention
-    gravity: float
+    Residuals: size of the force less g of each spell; of a redundant set also what no force explains (spells, 1 or 1 + n).
+    """
+    from scipy.optimize import least_squares
 
-    def __post_init__(self) -> None:
-        pairs = [(i, j) for i in range(3) for j in range(3) if (j > i if self.convention == "upper" else j < i)]
-        self.pairs = pairs
-        self.size = 4 * self.count - 3
+    n = means.shape[1]
 
-    def sensitivities(self, parameters: Array) -> tuple[Array, Array]:
-        """Matrix (n, 3) and biases (n,)."""
-        n = self.count
-        matrix = np.zeros((n, 3))
-        scale = parameters[n : n + 3]
-        matrix[range(3), range(3)] = scale
-        for (i, j), value in zip(self.pairs, parameters[n + 3 : n + 6], strict=True):
-            matrix[i, j] = scale[i] * value
-        matrix[3:] = parameters[n + 6 :].reshape(-1, 3)
-        return matrix, parameters[:n]
-
-    def residuals(self, parameters: Array, means: Array) -> Array:
-        """Size of the force less g of each spell; of a redundant set also what no force explains (spells, 1 or 1 + n)."""
-        matrix, bias = self.sensitivities(parameters)
+    def residuals(parameters: Array) -> Array:
+        matrix, bias = _sensitivities(parameters, n, pairs)
         force = _force(means, matrix, bias)
-        off = np.linalg.norm(force, axis=1)[:, None] - self.gravity
-        if self.count == 3:
-            return off
-        left = (means - bias - force @ matrix.T) / np.linalg.norm(matrix, axis=1)
-        return np.column_stack((off, left))
-
-    def fit(self, means: Array) -> OptimizeResult:
-        """The least sum of squares. It starts at the ellipsoid's box, with all axes orthogonal."""
-        from scipy.optimize import least_squares
-
-        low, high = means.min(axis=0), means.max(axis=0)
-        n = self.count
-        start = np.zeros(self.size)
-        start[:n] = 0.5 * (low + high)
-        start[n : n + 3] = np.maximum(0.5 * (high - low)[:3], 1e-12) / self.gravity
+        off = np.linalg.norm(force, axis=1)[:, None] - gravity
         if n > 3:
-            base = (means[:, :3] - start[:3]) / start[n : n + 3]
-            columns = np.column_stack((base, np.ones(len(base))))
-            further = np.linalg.lstsq(columns, means[:, 3:], rcond=None)[0]
-            start[3:n], start[n + 6 :] = further[3], further[:3].T.ravel()
-        return least_squares(
-            lambda p: self.residuals(p, means).ravel(),
-            start, jac="3-point", x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=_MOST_STEPS,
-        )  # fmt: skip
+            left = (means - bias - force @ matrix.T) / np.linalg.norm(matrix, axis=1)
+            off = np.column_stack((off, left))
+        return off.ravel()
 
-    def scale(self, size: Array) -> Array:
-        """Unit of each parameter, where that of each output is ``size``."""
-        return np.concatenate((size, size[:3], np.ones(3), np.repeat(size[3:], 3)))
-
-    def keys(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Keys of the parameters."""
-        axes = "XYZ"
-        keys = [f"bias[{name}]" for name in names] + [f"scale_factor[{name}]" for name in names[:3]]
-        keys += [f"m_{axes[j]}[{names[i]}]" for i, j in self.pairs]
-        return tuple(keys + [f"s_{axis}[{name}]" for name in names[3:] for axis in axes])
-
-    def units(self, unit: str) -> tuple[str, ...]:
-        """Units of the parameters."""
-        scale = f"{unit}/(m/s^2)"
-        return (*[unit] * self.count, *[scale] * 3, *["rad"] * 3, *[scale] * (3 * (self.count - 3)))
+    low, high = means.min(axis=0), means.max(axis=0)
+    start = np.zeros(4 * n - 3)
+    start[:n] = 0.5 * (low + high)
+    start[n : n + 3] = np.maximum(0.5 * (high - low)[:3], 1e-12) / gravity
+    if n > 3:
+        base = (means[:, :3] - start[:3]) / start[n : n + 3]
+        columns = np.column_stack((base, np.ones(len(base))))
+        further = np.linalg.lstsq(columns, means[:, 3:], rcond=None)[0]
+        start[3:n], start[n + 6 :] = further[3], further[:3].T.ravel()
+    return least_squares(
+        residuals, start, jac="3-point", x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14, max_nfev=_MOST_STEPS
+    )
 
 
-def _check_spread(directions: Array) -> None:
-    """Refuse attitudes in one plane: an ellipse of outputs is a section of many ellipsoids."""
-    around = directions - directions.mean(axis=0)
-    if np.linalg.svd(around, compute_uv=False)[-1] < _FLAT * math.sqrt(len(around)):
-        raise IdentifiabilityError(
-            "these attitudes lie in one plane: they cannot tell the sensitivities across it",
-            remedy="turn the set about a second axis, too: each axis up and down, and each pair at 45 degrees",
-        )
-
-
-def _told(jacobian: Array, keys: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
+def _told(jacobian: Array, keys: tuple[str, ...], directions: Array) -> tuple[Array, tuple[str, ...]]:
     """Correlations of the terms, and remarks on pairs that the attitudes hardly tell apart.
 
     Raises
     ------
     IdentifiabilityError
-        If they do not tell a combination at all.
+        If they do not tell a combination at all, or lie in one plane: an ellipse is a section of many ellipsoids.
     """
+    spread = np.linalg.svd(directions - directions.mean(axis=0), compute_uv=False)[-1]
+    if spread < _FLAT * math.sqrt(len(directions)):
+        raise IdentifiabilityError(
+            "these attitudes lie in one plane: they cannot tell the sensitivities across it", remedy=_MORE
+        )
     scaled = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     _, singular, right = np.linalg.svd(scaled, full_matrices=False)
     if singular[-1] < _SINGULAR * singular[0]:
-        mixed = [key for key, share in zip(keys, np.abs(right[-1]), strict=True) if share > 0.1]
-        raise IdentifiabilityError(
-            f"these attitudes cannot tell {', '.join(mixed)}",
-            remedy="hold the set in more attitudes: each axis up and down, and each pair of axes at 45 degrees",
-            terms=tuple(mixed),
-        )
+        mixed = tuple(key for key, share in zip(keys, np.abs(right[-1]), strict=True) if share > 0.1)
+        raise IdentifiabilityError(f"these attitudes cannot tell {', '.join(mixed)}", remedy=_MORE, terms=mixed)
     inverse = (right.T / singular**2) @ right
     size = np.sqrt(np.diag(inverse))
     correlation: NDArray[np.float64] = inverse / np.outer(size, size)
@@ -386,6 +374,9 @@ def _told(jacobian: Array, keys: tuple[str, ...]) -> tuple[Array, tuple[str, ...
         if abs(correlation[i, j]) > _ALIKE
     ]
     return correlation, tuple(remarks)
+
+
+_MORE = "hold the set in more attitudes: each axis up and down, and each pair of axes at 45 degrees"
 
 
 # -- the run file of a set ----------------------------------------------------------------------------
