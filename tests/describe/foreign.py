@@ -158,6 +158,8 @@ LOGS: dict[str, Callable[[Path], None]] = {
     "trailing.csv": lambda path: text(path, f"{NAMES},", [f"{row}," for row in rows()]),
     "footer.csv": lambda path: text(path, NAMES, rows(), "Mean,,0.1,0.0,0.002\nEnd of measurement 14:25"),
     "words.csv": lambda path: text(path, NAMES, changed(1, lambda k, n: "ERR" if k in (50, 51, 700) else n)),
+    "fill.csv": lambda path: text(path, NAMES, changed(2, lambda k, f: "-9999" if k in (50, 51, 700) else f)),
+    "fill-in-counts.csv": lambda path: text(path, NAMES, changed(1, lambda k, n: "-9999" if k in (50, 51, 700) else n)),
     "signed-16.csv": lambda path: text(path, NAMES, changed(1, lambda _, n: str((int(n) + 32768) % 65536 - 32768))),
     "other-axis.csv": lambda path: text(path, "time,counts,fz,fx,fy", rows()),
     "metres.csv": lambda path: text(path, "time,counts,ax,ay,az", [

@@ -61,7 +61,7 @@ class Client:
         status, headers, _ = self.ask(f"/?token={self.token}")
         assert status == 303
         self.cookie, *flags = headers["set-cookie"].split("; ")
-        assert {"HttpOnly", "SameSite=strict", "Path=/"} == set(flags)
+        assert {"HttpOnly", "SameSite=strict", "Path=/", "Max-Age=43200"} == set(flags)
 
     def page(self, path: str, status: int = 200) -> str:
         """A page as text."""

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import pytest
 
 from piga.errors import ArgumentError
-from piga.workbench.app import Door, open_browser
+from piga.workbench.app import SESSION_AGE, Door, open_browser
 from piga.workbench.common import Jobs
 from piga.workbench.folder import Folder, OutsideError
 from tests.workbench.conftest import Client, Server, entered, wait_until
@@ -54,7 +54,10 @@ def test_the_token_is_good_once_and_the_cookie_is_out_of_reach(server: Server) -
     assert stranger.ask("/")[0] == 403
 
 
-def test_a_session_of_a_door() -> None:
+def test_age_of_a_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    now = [1000.0]
+    monkeypatch.setattr("time.time", lambda: now[0])
     door = Door(8000)
     assert not door.has_session("")
     assert door.open_session("\u00e9") is None
@@ -62,6 +65,8 @@ def test_a_session_of_a_door() -> None:
     assert session is not None
     assert door.has_session(session)
     assert door.open_session(session) is None
+    now[0] += SESSION_AGE + 1.0
+    assert not door.has_session(session)
 
 
 def test_policies_of_pages_and_of_reports(client: Client) -> None:
@@ -119,6 +124,14 @@ def test_a_module_in_the_folder_is_not_imported(tmp_path: Path) -> None:
     jobs.stop_all()
 
 
+def test_values_that_no_instrument_has(client: Client) -> None:
+    for typed in ("K=0+rad/s/g", "beta=100+deg", "a_x=5"):
+        assert client.ask(f"/explore?{typed}")[0] == 422
+    assert client.ask("/explore?a_x=1e30+g&time=1e12+s")[0] == 200
+    status, headers, _ = client.ask("/explore?report=1&a_x=1e30+g&time=1e12+s")
+    assert (status, "sandbox" in headers["content-security-policy"]) == (200, True)
+
+
 def test_forms_that_are_none(client: Client) -> None:
     origin = {"Origin": f"http://127.0.0.1:{client.port}"}
     bodies = [
@@ -171,6 +184,22 @@ def test_the_address_for_the_browser_is_a_file_of_its_owner(
     assert opened == [path.as_uri()]
     assert path.stat().st_mode & 0o777 == 0o600
     assert door.address in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+def test_a_server_at_the_same_address_knows_its_browser_again(tmp_path: Path) -> None:
+    first = entered(tmp_path)
+    port, cookie = first.client.port, first.client.cookie
+    assert first.end() == (0, "")
+    (tmp_path / "other").mkdir()
+    for folder, status in (
+        (tmp_path, 200),
+        (tmp_path / "other", 403),
+    ):  # another folder at this port does not know it
+        again = Server(folder, "--port", str(port))
+        again.client.cookie = cookie
+        again.client.page("/", status)
+        assert again.end() == (0, "")
 
 
 def test_what_is_no_folder_or_port(tmp_path: Path) -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from importlib.resources import files
-
 import pytest
 
 from piga.errors import UnitError
 from piga.units import to_si
-from piga.workbench.common import Field, _page_css, quantity
+from piga.workbench.common import Field, quantity
 
 
 @pytest.mark.parametrize(
@@ -53,10 +50,3 @@ def test_a_field_keeps_what_was_typed_and_says_why_it_is_refused() -> None:
     bare = field.with_sent({"hours": "2.5"})
     assert (bare.typed, bare.refusal.partition(".")[0]) == ("2.5", "The unit is missing")
     assert not Field("phase", like="rad").with_sent({}).refusal
-
-
-def test_every_colour_of_the_bench_is_one_of_the_pages() -> None:
-    """A colour that has no name is not drawn: the lines of a record were missing."""
-    own = files("piga.workbench").joinpath("assets", "bench.css").read_text(encoding="utf-8")
-    sheets = _page_css(None).body.decode() + own  # type: ignore[arg-type,union-attr]
-    assert set(re.findall(r"var\((--[\w-]+)", sheets)) <= set(re.findall(r"(--[\w-]+)\s*:", sheets))

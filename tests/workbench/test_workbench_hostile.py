@@ -111,7 +111,7 @@ def test_an_upload_without_end_is_cut_off(tmp_path: Path, declared: bool) -> Non
     "path",
     [
         "/jobs/..%2f..%2fetc", "/jobs/%2e%2e", "/assets/..%2fapp.py", "/assets/%2e%2e/app.py",
-        "/file/.piga-ui/trials/../open.html", "/file/.piga-ui/trials/%2e%2e/%2e%2e/%2e%2e/secret.toml", "/file/.piga-ui/open.html",
+        "/file/.piga-ui/trials/../tags.json", "/file/.piga-ui/trials/%2e%2e/%2e%2e/%2e%2e/secret.toml", "/file/.piga-ui/tags.json",
         "/file/../secret.toml", "/file//etc/passwd", "/file/.piga-ui",
         "/record/%252e%252e%252fsecret.toml", "/record/..%c0%af..%c0%afsecret.toml", "/record/tumble-a.toml%00.csv",
         "/log/%2fetc%2fpasswd", "/log/..%5csecret.toml", "/log//etc/passwd", "/log/./.piga-ui/x.toml",
@@ -168,19 +168,21 @@ def test_every_page_escapes_what_files_say(tmp_path: Path) -> None:
     running = entered(tmp_path)
     try:
         client = running.client
+        client.post("/tag", {"name": "tumble-a.toml", "tags": "<script>alert(1)</script>"})
         client.until("/record/tumble-a.toml", lambda text: "data-drawn" in text)
         kept = "tumble-a-calibration"
         pages = [
             "/jobs", "/record/tumble-a.toml", "/log/open.csv", "/text?file=certificate.toml", f"/kept/{kept}",
             f"/certificate?of={kept}", f"/compare?of={kept}&of={kept}-v1", f"/plan?of={kept}",
         ]  # fmt: skip
-        given = ("text?file=", "jobs/", "record/", "log/", "kept/")
+        given = ("explore?a_x=", "text?file=", "jobs/", "record/", "log/", "kept/")
         pages += [f"/{page}{quote(EVIL)}" for page in given]
         for page in pages:
             status, _, body = client.ask(page)
             assert status in (200, 404, 422), (page, status)
             for wrong in RAW:
                 assert wrong not in body.decode(), (page, wrong)
+        assert "alert(1)" in client.page("/record/tumble-a.toml")
         _, _, body = client.post(
             "/log/open.csv", {"instrument.scale_factor": EVIL, "u:instrument.scale_factor": EVIL}
         )
@@ -210,6 +212,8 @@ def test_a_strangers_folder_neither_hangs_nor_is_left(tmp_path: Path) -> None:
     os.mkfifo(lab / "pipe.csv")
     chinese = "\u53f0" * 80
     (lab / f"{chinese}.toml").write_bytes(run.read_bytes())
+    (lab / ".piga-ui").mkdir(mode=0o700)
+    os.mkfifo(lab / ".piga-ui" / "tags.json")
     running = entered(lab)
     try:
         pages = [

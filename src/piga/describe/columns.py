@@ -203,6 +203,7 @@ _TOLD = re.compile(r"(.+?)(?:[ -]([xyz])0?)?(?:\s*\[(.*)\])?")
 def _as_told(
     guesses: list[ColumnGuess], told: Mapping[str, str], numbers: dict[str, Array]
 ) -> list[ColumnGuess]:
+    """The guesses with what the user said of some columns."""
     for name, text in told.items():
         place = next((k for k, guess in enumerate(guesses) if name in (guess.name, plain(guess.name))), None)
         if place is None:
@@ -280,6 +281,39 @@ def guess_columns(
     guesses = _by_values(guesses, numbers)
     guesses = _direct_output(_triad_by_values(guesses, numbers), numbers)
     return _as_told([_with_unit(guess, guesses, numbers) for guess in guesses], told, numbers)
+
+
+_FILLS = (-9999.0, -999.0, -99999.0, -9999.9, -999.9, -32768.0, 9999.0, 99999.0, 32767.0, -1e30, 1e30, 9.9e37)
+"""Numbers that loggers write for a missing value."""
+_MOST_FILLED = 0.2
+"""Largest share of the rows that such a number may take."""
+_FAR = 20.0
+"""A fill value is at least this many usual steps from the values before and after it."""
+
+
+def without_fills(numbers: dict[str, Array], names: tuple[str, ...]) -> dict[str, float]:
+    """Find numbers that mark missing values, and put nan in their place. Returns the number by column."""
+    fills = {}
+    for name in names:
+        value = next((one for one in _FILLS if _marks_missing(numbers[name], one)), None)
+        if value is not None:
+            fills[name] = value
+            numbers[name] = np.where(numbers[name] == value, np.nan, numbers[name])
+    return fills
+
+
+def _marks_missing(x: Array, value: float) -> bool:
+    """True for a number in a few rows of a column, each time far from the values before and after it."""
+    filled = x == value
+    rest = x[~filled & np.isfinite(x)]
+    if not 0 < np.count_nonzero(filled) <= _MOST_FILLED * x.size or rest.size < 3:
+        return False
+    edges = np.flatnonzero(np.diff(filled, prepend=False, append=False))
+    before, after = edges[::2] - 1, edges[1::2]
+    beside = x[np.concatenate((before[before >= 0], after[after < x.size]))]
+    usual = float(np.quantile(np.abs(np.diff(rest)), 0.9))
+    far = _FAR * usual if usual else float(np.ptp(rest))
+    return bool(np.nanmin(np.abs(beside - value), initial=np.inf) > far)
 
 
 def _triad_by_values(guesses: list[ColumnGuess], numbers: dict[str, Array]) -> list[ColumnGuess]:

@@ -10,7 +10,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -231,7 +231,11 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
     value: dict[str, Any] = {"column": column.name, "kind": column.kind}
     reasons = [column.reason]
     x = log.numbers.get(column.name, np.empty(0))
-    if column.kind == "counts":
+    if column.kind == "counts" and _of_each_sample(log, x):
+        column = replace(column, kind="pulses")
+        value["kind"] = "pulses"
+        reasons.append("it follows the specific force itself: the pulses of each sample, which are summed")
+    elif column.kind == "counts":
         bits = _counter_bits(x)
         if bits is not None:
             draft.put("instrument.counter_bits", *bits, "  or: leave it out, if the counter was reset there")
@@ -246,6 +250,17 @@ def put_output(draft: RunFileDraft, log: LogDescription) -> ColumnGuess | None:
             reasons.append(fold[1])
     draft.put("data.output", value, *reasons)
     return column
+
+
+def _of_each_sample(log: LogDescription, x: Array) -> bool:
+    """True if counts, not their steps, follow the specific force: they are the pulses of each sample."""
+    forces = [log.numbers[one.name] for one in log.of("force") if one.name in log.numbers]
+    angles = [one for one in log.of("stand-angle") if one.name in log.numbers]
+    forces += [np.cos(log.numbers[one.name] * parse_unit(one.unit).factor) for one in angles]
+    forces += [log.numbers[one.name] ** 2 for one in log.of("stand-speed") if one.name in log.numbers]
+    themselves = max((abs(_correlation(x, level)) for level in forces), default=0.0)
+    steps = max((abs(_correlation(np.diff(x), level[1:])) for level in forces), default=0.0)
+    return themselves > 0.99 and steps < 0.5
 
 
 def _correlation(y: Array, x: Array) -> float:

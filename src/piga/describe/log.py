@@ -20,6 +20,7 @@ from piga.describe.columns import (
     kind_of_name,
     known_names,
     known_unit,
+    without_fills,
 )
 from piga.errors import DataError, PigaError
 from piga.formats.columns import FileChunk, RecordStream
@@ -70,6 +71,8 @@ class LogDescription:
         Values of the number columns, at most :data:`_MOST_LOG_ROWS` of each.
     labels:
         Segment label of each of these rows, as an index into ``label_names``; None without a segment column.
+    fills:
+        Number that marks missing values, by column. It is nan in ``numbers``.
     """
 
     path: Path
@@ -79,6 +82,7 @@ class LogDescription:
     numbers: dict[str, Array] = field(default_factory=dict)
     labels: NDArray[np.int32] | None = None
     label_names: tuple[str, ...] = ()
+    fills: dict[str, float] = field(default_factory=dict)
 
     def of(self, kind: str) -> list[ColumnGuess]:
         """Columns of a kind, by axis; those that the user named come first."""
@@ -119,10 +123,11 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     numbers, codes = _collected(stream, read)
     if label in numeric and codes is not None:
         numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
+    fills = without_fills(numbers, numeric)
     valued = {name: numbers[name] for name in numeric}
     columns = guess_columns(names, form.units, layout.sample, valued, told)
     labels = tuple(stream.label_names)
-    return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels)
+    return LogDescription(path, layout, tuple(columns), layout.facts, numbers, codes, labels, fills)
 
 
 _MOST_WORDS = 0.2
@@ -180,9 +185,10 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
         other = next(whole, next(iter(numbers)))
         stream = columns_stream(path, (other,), label)
         codes, labels = _collected(stream, (other,))[1], stream.label_names
+    fills = without_fills(numbers, tuple(numbers))
     columns = guess_columns(names, units | stated, {}, numbers, told)
     columns += [ColumnGuess(n, "other", "it is in another group") for n in listed if n not in names]
-    return LogDescription(path, None, tuple(columns), {}, numbers, codes, tuple(labels))
+    return LogDescription(path, None, tuple(columns), {}, numbers, codes, tuple(labels), fills)
 
 
 def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dict[str, str]]:
@@ -216,13 +222,14 @@ def _numbers_of(path: Path, names: list[str]) -> tuple[dict[str, Array], dict[st
 
 def _columns_in(path: Path) -> tuple[str, ...]:
     """Names of all columns of a container: the refusal of a column that no file has lists them."""
+    error = DataError(f"{path}: no columns", remedy="check that this is the log")
     try:
         columns_stream(path, (_NO_COLUMN,))
-    except DataError as error:
-        if error.columns:
-            return error.columns
-        raise
-    raise DataError(f"{path}: no columns", remedy="check that this is the log")
+    except DataError as refused:
+        error = refused
+    if not error.columns:
+        raise error
+    return error.columns
 
 
 # -- layout of a text log --------------------------------------------------------------------------------
@@ -263,13 +270,20 @@ def text_layout(path: Path) -> TextLayout:
     """Guess the layout of a text log, or of the sheet with the most known names, from the first lines."""
     if file_kind(path) == ".xlsx":
         return _sheet_layout(path)
-    source = TextSource(path, None)
-    layout = _layout(source.head.decode("utf-8", errors="replace"), path, source.encoding)
-    if source.encoding in ("utf-8", "ascii"):
-        return layout
-    why = "the bytes are not UTF-8" if source.encoding in GUESSED else "the file has a byte-order mark"
-    others = tuple(one for one in GUESSED if source.encoding in GUESSED and one != source.encoding)
-    return replace(layout, guesses=layout.guesses | {"encoding": Guess(source.encoding, why, others)})
+    first = TextSource(path, None).encoding
+    tried = sorted(GUESSED, key=lambda one: one != first) if first in GUESSED else [first]
+    heads: dict[str, str] = {}
+    for encoding in tried:
+        with suppress(DataError):  # no text in this encoding
+            heads[encoding] = TextSource(path, encoding).head.decode("utf-8", errors="replace")
+    layouts = [_layout(head, path, encoding) for encoding, head in heads.items()]
+    best = max(layouts, key=lambda one: known_names(one.form.names))
+    if best.form.encoding in ("utf-8", "ascii"):
+        return best
+    others = tuple(one.form.encoding for one in layouts if one is not best)
+    words = "the bytes are not UTF-8, and the column names are words in this encoding"
+    why = words if len(tried) > 1 else "the file has a byte-order mark"
+    return replace(best, guesses=best.guesses | {"encoding": Guess(best.form.encoding, why, others)})
 
 
 def _sheet_layout(path: Path) -> TextLayout:
@@ -354,6 +368,7 @@ def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SE
 
 
 def _bare(line: str) -> str:
+    """A line without the mark of a comment at its start."""
     return COMMENT.sub("", line)
 
 

@@ -11,7 +11,15 @@ from itertools import cycle
 import numpy as np
 
 from piga._version import __version__
-from piga.instrument import Instrument, dead_zone, mean_rate
+from piga.instrument import (
+    Instrument,
+    closed_form,
+    dead_zone,
+    fixed_points,
+    mean_rate,
+    regime,
+    revolution_period,
+)
 from piga.instrument.twin import TwinMotion, TwinParameters, analyse_loop, open_loop
 from piga.records.terms import integral_unit, shown_unit
 from piga.reports.render.figure import XYZ, Axis, Figure, Plot, Role
@@ -51,6 +59,38 @@ def locking_figure(*curves: tuple[Instrument, float]) -> Figure:
         f"force along the input axis; the widest plateau reaches to {max(borders) / G0 * 1e3:.3g} mg. Outside, the mean "
         "rate is K sqrt(a_x^2 - a_t^2 tan^2(beta)) and approaches the ideal line from below."
     )
+
+
+def constant_input_page(inst: Instrument, a_x: float, a_t: float, seconds: float) -> Page:
+    """Regime, lock zone and motion under constant input: ``a_x``, ``a_t`` [m/s^2] along and across the input axis."""
+    forces, degree, turn = (a_x, a_t, 0.0), 180.0 / np.pi, 2.0 * np.pi
+    name, border = regime(inst, *forces), float(dead_zone(inst, a_t, 0.0)[1])
+    alpha, t = np.linspace(-np.pi, np.pi, _POINTS), np.linspace(0.0, seconds, _POINTS)
+    rates = Plot("rates", "Rate against angle.", "output angle \u03b1 [deg]", "output rate [deg/s]")
+    rate = degree * inst.scale_factor * (a_x + inst.tan_beta * a_t * np.sin(alpha))
+    rates.line(degree * alpha, rate, "rate", "after").level(degree * alpha, 0.0, "at rest", "muted")
+    tiles = [
+        Tile("regime", name),
+        Tile("locked zone of a_x", f"\u00b1 {significant(border / (1e-3 * G0), 4)}", "mg"),
+        Tile("mean output rate", significant(degree * float(mean_rate(inst, *forces)), 4), "deg/s"),
+    ]
+    if name == "running":
+        tiles.append(Tile("one revolution", significant(float(revolution_period(inst, *forces)), 4), "s"))
+    if name == "locked":
+        stable, unstable = (degree * float(at) for at in fixed_points(inst, *forces))
+        tiles.append(Tile("rest angle", significant(stable, 4), "deg"))
+        rates.points([stable], [0.0], "stable rest", "model")
+        rates.points([unstable], [0.0], "unstable rest", "warning")
+    motion = Plot("motion", "Output angle against time.", "time [s]", "output angle \u03b1 [rev]")
+    motion.line(t, closed_form(inst, t, *forces)[0] / turn, "with cross-coupling", "after")
+    motion.dashed(t, inst.scale_factor * a_x * t / turn, "without")
+    content = (
+        rates.caption("Where the curve crosses zero the gimbal can rest."),
+        locking_figure((inst, a_t)),
+        motion.caption("The exact closed form, from \u03b1 = 0."),
+    )
+    sections = (Section("Motion", "the-motion", content),)
+    return Page("Constant input", "", tuple(tiles), sections, "piga \u00b7 explore")
 
 
 def figures(test: SimulatedTest) -> dict[str, Callable[[], Figure]]:

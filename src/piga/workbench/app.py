@@ -11,12 +11,14 @@ Every request passes :class:`Guard` first. It checks, in this order:
 
 from __future__ import annotations
 
+import hashlib
 import os
 import secrets
 import shutil
 import signal
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -31,6 +33,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from piga.errors import ArgumentError, PigaError
+from piga.text_files import read_whole
 from piga.workbench import common, later, record
 from piga.workbench.common import Bench, error_page
 from piga.workbench.folder import Folder
@@ -40,6 +43,8 @@ _MOST_CONNECTIONS = 300
 may have 1024 of them."""
 _GRACE, _LAST = 1, 1.5
 """Time [s] that open requests have when the server ends, and then a page that still reads a file."""
+SESSION_AGE = 12 * 3600
+"""Age [s] at which a session ends. A new one starts with the address of a new ``piga ui``."""
 LOOPBACK = "127.0.0.1"
 """Address of this machine that no other one can reach."""
 _HEADERS = {
@@ -56,11 +61,21 @@ _HEADERS = {
 
 
 class Door:
-    """The one-time token and the session of one server. ``token`` is that of the printed address; it is empty once it was used."""
+    """The one-time token and the session of one server.
 
-    def __init__(self, port: int) -> None:
-        self.port, self.token, self._session = port, secrets.token_urlsafe(24), secrets.token_urlsafe(24)
+    The session is kept in the user's cache, by port and folder: a server that is started again at the same address knows
+    its browser again. ``token`` is that of the printed address; it is empty once it was used.
+    """
+
+    def __init__(self, port: int, folder: str = "") -> None:
+        self.port, self.token = port, secrets.token_urlsafe(24)
         self.cookie = f"piga-{port}"  # browsers share cookies between ports
+        self._session, self._began = "", 0.0
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "piga"
+        self._store = cache / f"ui-{port}-{hashlib.sha256(folder.encode()).hexdigest()[:16]}"
+        with suppress(PigaError, OSError, UnicodeDecodeError):
+            self._began = self._store.stat().st_mtime
+            self._session = read_whole(self._store, 100, "another port").decode("ascii")
 
     @property
     def address(self) -> str:
@@ -81,11 +96,17 @@ class Door:
         if not self.token or not secrets.compare_digest(token.encode(), self.token.encode()):
             return None
         self.token = ""
+        if not self.has_session(self._session):
+            self._session, self._began = secrets.token_urlsafe(24), time.time()
+            with suppress(OSError):  # without a cache folder a browser needs a new address after the next start
+                self._store.parent.mkdir(parents=True, exist_ok=True)
+                _write_private(self._store, self._session)
         return self._session
 
     def has_session(self, session: str) -> bool:
-        """True if it is the session of this server."""
-        return secrets.compare_digest(session.encode(), self._session.encode())
+        """True if the session is open and not too old."""
+        same = bool(session) and secrets.compare_digest(session.encode(), self._session.encode())
+        return same and 0.0 <= time.time() - self._began < SESSION_AGE
 
 
 def _write_private(path: Path, text: str) -> None:
@@ -137,7 +158,7 @@ class Guard:
             if session is not None or has_session:
                 answer = RedirectResponse("/", 303)
                 if session is not None:
-                    answer.set_cookie(door.cookie, session, httponly=True, samesite="strict")
+                    answer.set_cookie(door.cookie, session, SESSION_AGE, httponly=True, samesite="strict")
                 return answer
         if has_session or (path == "/healthz" and is_safe):
             return None
@@ -156,7 +177,7 @@ def serve(folder: Path, port: int, *, ready: Callable[[Door, Path], None]) -> No
     except (OSError, OverflowError) as error:
         words = f"port {port} cannot be used ({getattr(error, 'strerror', error)})"
         raise ArgumentError(words, remedy="choose another, or leave --port out") from None
-    door = Door(listener.getsockname()[1])
+    door = Door(listener.getsockname()[1], str(opened.root))
     for room in ("parts", "trials", "signals"):  # of a server that was killed, or of a stranger
         shutil.rmtree(opened.state_room(room), ignore_errors=True)
     bench = Bench(opened)

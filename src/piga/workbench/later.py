@@ -1,6 +1,6 @@
 """What comes after a calibration: certificate, compensation, the plan of the next test.
 
-Also any TOML file as text with the commands that run it.
+Also any TOML file as text with the commands that run it, and the regimes of the motion under constant input.
 """
 
 from __future__ import annotations
@@ -12,15 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
 
 from piga.certificate.certificate_file import missing_items, read_certificate_file
 from piga.certificate.page import is_draft
 from piga.data import example_files
-from piga.errors import PigaError
+from piga.errors import ArgumentError, PigaError
+from piga.instrument import Instrument
 from piga.keys import places_of
+from piga.reports import page_html
+from piga.reports.stand import constant_input_page
 from piga.text_files import toml_document, toml_text, toml_value
-from piga.workbench.common import Bench, Field, Sent, bench_of, render, route, start
+from piga.units import to_si
+from piga.workbench.common import REPORT_POLICY, Bench, Field, Sent, bench_of, render, route, start
 from piga.workbench.folder import CALIBRATION, TRIALS, ChangedError, Kept, OutsideError, plain_name
 from piga.workbench.record import in_words, kept_of, left
 
@@ -32,11 +37,12 @@ def _form(
     request: Request, title: str, words: str, groups: dict[str, list[Field]], code: int = 200, **more: Any
 ) -> Response:
     shown = left(bench_of(request), kept_name=request.query_params.get("of", ""))
-    usual = {"hidden": {}, "lamp": None, "buttons": {"": title}, "link": ""}
+    usual = {"method": "post", "hidden": {}, "lamp": None, "buttons": {"": title}, "link": "", "shown": ""}
     return render(request, "form", title, code, words=words, groups=groups, **shown, **(usual | more))
 
 
 def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
+    """The entries of a certificate file by ``table.key``."""
     result: dict[str, Any] = {}
     for name, value in document.items():
         result |= _entries(value, f"{path}{name}.") if isinstance(value, dict) else {f"{path}{name}": value}
@@ -162,6 +168,7 @@ def _certificate(request: Request, sent: Sent) -> Response:
 def _asked(
     request: Request, sent: Sent, title: str, words: str, fields: list[Field], link: str = ""
 ) -> Sent | Response:
+    """What was sent for the fields; else the page that asks for it."""
     asked = [field.with_sent(sent) if sent else field for field in fields]
     if sent and not any(field.refusal for field in asked):
         return {field.key: field.value for field in asked}
@@ -210,15 +217,20 @@ def _plan(request: Request, sent: Sent) -> Response:
     return start(request, ("plan", name, "--out", out, "--force"), "Plan", name, out)
 
 
-_COMMANDS = {"plan": "plan", "truth": "simulate", "polar": "platform compare", "data": "calibrate"}
-"""Command for a file by the table that tells its kind."""
+_COMMANDS = {
+    "plan": ("plan",),
+    "truth": ("simulate",),
+    "polar": tuple(f"platform {word}" for word in ("compare", "simulate", "identify", "align")),
+    "data": ("check", "check --terms", "calibrate"),
+}
+"""Commands for a file by the table that tells its kind."""
 
 
-def _command(text: str) -> list[str]:
+def _commands(text: str) -> tuple[str, ...]:
     with suppress(PigaError):
         document = toml_document(Path("the text"), text.encode())
-        return next((words.split() for table, words in _COMMANDS.items() if table in document), [])
-    return []
+        return next((words for table, words in _COMMANDS.items() if table in document), ())
+    return ()
 
 
 def _text(request: Request, sent: Sent) -> Response:
@@ -239,22 +251,54 @@ def _text(request: Request, sent: Sent) -> Response:
         except PigaError as error:
             message = str(error)
         else:
-            command = _command(text)
-            if sent.get("do") != "run" or not command:
-                return RedirectResponse(f"/text?file={name}", 303)
-            path = bench.folder.toml(name)
-            out = bench.folder.name(path.with_name(f"{path.stem}-{command[-1]}"))
-            command += [name, "--out", out, "--force"]
-            return start(request, command, command[0].capitalize(), name, out)
+            return _run(request, name, sent.get("do", ""), _commands(text))
     else:
         text = bench.folder.text(name) if name else examples.get(example, b"").decode("utf-8")
     there = bool(name) and bench.folder.path(name).is_file()
     names = [bench.folder.name(path) for path in bench.folder.files() if path.suffix == ".toml"]
     return render(
         request, "text", name or "Show as text", 422 if message else 200, **left(bench, name), file=name, text=text,
-        message=message, command=" ".join(_command(text)), names=names[:500], example=example, examples=examples,
+        message=message, commands=_commands(text), names=names[:500], example=example, examples=examples,
         seen=bench.history.seen(bench.folder.text(name)) if there else "",
     )  # fmt: skip
+
+
+def _run(request: Request, name: str, word: str, commands: tuple[str, ...]) -> Response:
+    if word == "save":
+        return RedirectResponse(f"/text?file={name}", 303)
+    if word not in commands:
+        raise ArgumentError(f"{word[:40]!r}: is not a command for this file", remedy="use the buttons")
+    folder, words = bench_of(request).folder, word.split()
+    path = folder.toml(name)
+    out = "" if words[0] == "check" else folder.name(path.with_name(f"{path.stem}-{words[-1]}"))
+    command = [*words, name, *(["--out", out, "--force"] if out else [])]
+    return start(request, command, word.capitalize(), name, out)
+
+
+_EXPLORED = (
+    Field("a_x", "specific force along the input axis", "0.02 g", typed="0.02 g", like="m/s^2", needed=True),
+    Field("a_t", "transverse specific force", "5 g", typed="5 g", like="m/s^2", needed=True),
+    Field("beta", "non-orthogonality \u03b2", "1000 arcsec", typed="1000 arcsec", like="rad", needed=True),
+    Field("K", "scale factor K", "0.8884 rad/s/g", typed="0.8884 rad/s/g", like="rad/s/g", needed=True),
+    Field("time", "time shown", "200 s", typed="200 s", like="s", needed=True),
+)
+
+
+def _explore(request: Request) -> Response:
+    """The values of a constant input; with ``report``, the report on its motion that the page shows in a frame."""
+    query = dict(request.query_params)
+    fields = [field.with_sent(query) for field in _EXPLORED]
+    is_refused = any(field.refusal for field in fields)
+    if not is_refused:
+        a_x, a_t, beta, K, shown = (field.value for field in fields)
+        inst = Instrument(scale_factor=K, beta=beta)  # what no instrument has is refused here, not in the frame
+        if "report" in query:
+            page = constant_input_page(inst, to_si(a_x, "m/s^2"), to_si(a_t, "m/s^2"), abs(to_si(shown, "s")))
+            return HTMLResponse(page_html(page), headers={"content-security-policy": REPORT_POLICY})
+    words = "The motion of the gimbal under constant specific force. Every published case, computed and compared: piga reproduce."
+    frame = "" if is_refused else f"/explore?report=1&{request.url.query}"
+    code = 422 if is_refused else 200
+    return _form(request, "Explore", words, {"": fields}, code, method="get", shown=frame)
 
 
 ROUTES = [
@@ -262,4 +306,5 @@ ROUTES = [
     route("/compensate", _compensation),
     route("/plan", _plan),
     route("/text", _text),
+    Route("/explore", _explore),
 ]

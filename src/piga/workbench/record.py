@@ -26,7 +26,7 @@ from piga.describe.columns import WORDS
 from piga.describe.draft import QUESTIONS, Question
 from piga.describe.run_file import suggestions
 from piga.errors import ArgumentError, CalibrationError, PigaError
-from piga.output import put_in_place
+from piga.output import put_in_place, write_whole
 from piga.records.calibration.calibration import Calibration
 from piga.records.run_file import read_run_file
 from piga.records.terms import GYRO, UNITS, check_terms, shown_unit, term_words, turns
@@ -42,6 +42,13 @@ _TERMS = tuple(term for term in UNITS if term not in ("phi", "k1"))
 """Terms that have a box of their own."""
 
 
+def _tags_of(bench: Bench) -> dict[str, list[str]]:
+    with suppress(PigaError, msgspec.MsgspecError):
+        raw = bench.folder.read(bench.folder.state_room() / "tags.json", 1 << 20)
+        return msgspec.json.decode(raw, type=dict[str, list[str]])
+    return {}
+
+
 def left(bench: Bench, name: str = "", kept_name: str = "") -> dict[str, Any]:
     """Records and calibrations of the instrument that a page is about: that of a record or of a kept calibration."""
     entries = bench.folder.entries()
@@ -50,9 +57,10 @@ def left(bench: Bench, name: str = "", kept_name: str = "") -> dict[str, Any]:
     serial = next(here, "") or next(iter(firsts), "")
     mine = [entry for entry in entries if entry.serial in (serial, "") or entry.name == name]
     kept = sorted((one for entry in mine for one in entry.kept), key=lambda one: one.created)
+    tags = _tags_of(bench)
     return {
         "entries": mine, "serial": serial, "serials": dict(sorted(firsts.items())), "kept": kept, "name": name,
-        "line": _time_line(kept),
+        "line": _time_line(kept), "tags": {entry.name: tags.get(entry.name, []) for entry in mine},
     }  # fmt: skip
 
 
@@ -99,6 +107,16 @@ async def _take(request: Request) -> Response:
     finally:
         part.unlink(missing_ok=True)
     return JSONResponse({"name": target.name, "address": f"/record/{quote(target.name)}"})
+
+
+def _tag(request: Request, sent: Sent) -> Response:
+    bench, name = bench_of(request), sent.get("name", "")
+    bench.folder.path(name)
+    words = [word[:30] for word in sent.get("tags", "").replace(",", " ").split()[:8]]
+    with bench.history.lock:
+        raw = msgspec.json.encode(_tags_of(bench) | {name: words})
+        write_whole(bench.folder.state_room() / "tags.json", lambda part: part.write_bytes(raw))
+    return RedirectResponse(f"/record/{quote(name)}", 303)
 
 
 def _back(request: Request, otherwise: str) -> Response:
@@ -204,6 +222,7 @@ def _taken(folder: Folder, name: str) -> dict[str, Any]:
 
 
 def _preview(described: LogDescription) -> list[tuple[str, ...]]:
+    """The first six values of each column, as they were read."""
     cells = {name: [significant(float(one), 7) for one in some[:6]] for name, some in described.numbers.items()}
     cells |= described.layout.sample if described.layout else {}
     return list(zip_longest(*(cells.get(one.name, [])[:6] for one in described.columns), fillvalue=""))
@@ -331,6 +350,7 @@ def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], 
 
 
 def _trial(bench: Bench, key: str) -> Kept | None:
+    """An answer that is not kept."""
     return bench.folder.kept(bench.folder.root / TRIALS / key)
 
 
@@ -457,6 +477,7 @@ ROUTES = [
     Route("/", _home),
     Route("/try", _try_shipped, methods=["POST"]),
     Route("/upload", _take, methods=["POST"]),
+    route("/tag", _tag, "POST"),
     Route("/undo", _undo, methods=["POST"]),
     route("/log/{name:path}", _show_log),
     Route("/record/{name:path}", _show, methods=["GET"]),
