@@ -183,6 +183,7 @@ def shape() -> list[Case]:
         repair("blank-lines", whole.replace(b"\n", b"\n\n", 3), {"blank-line": 3}),
         repair("gzip", gzip.compress(whole), {}, file="run.csv.gz"),
         error("gzip-cut", gzip.compress(whole)[:-20], "cannot be read", file="run.csv.gz"),
+        error("gzip-bomb", gzip.compress(whole + b"0,0,1,0,0\n" * 3_000_000), "unpacks to more than", file="run.csv.gz"),
         error("no-gzip", b"no gzip", "cannot be read", file="run.csv.gz"),
         error("thousands-of-columns", text([["1"] * 5000], ",".join(f"c{i}" for i in range(5000))), "c59 and 4940 more"),
         error("parquet-damaged", b"PAR1" + whole, "not a readable Parquet", file="run.parquet"),

@@ -392,6 +392,8 @@ def _decoded(head: bytes, encoding: str) -> str | None:
         return None
 
 
+_MAX_EXPANSION = 200
+"""Largest ratio of unpacked to packed size of a .gz file, once 128 KiB of it are read."""
 PIECE_BYTES = 4 << 20
 """Bytes read at a time."""
 _MAX_LINE = 16 << 20
@@ -448,6 +450,9 @@ class TextSource:
             with open_regular(self.path, wanted="the file; [data] file is relative to the run file") as file:
                 stream: Any = gzip.GzipFile(fileobj=file) if packed else file
                 while block := stream.read(size):
+                    if packed and stream.tell() > _MAX_EXPANSION * max(file.tell(), 1 << 17):
+                        words = f"unpacks to more than {_MAX_EXPANSION} times its size"
+                        raise refusal(self.path, words, "unpack it by hand")
                     yield block
         except (OSError, EOFError, zlib.error) as error:
             raise refusal(self.path, f"cannot be read ({error})", "check the file") from None
