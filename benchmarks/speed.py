@@ -36,7 +36,7 @@ from piga import earth
 from piga.compensation import Mounted, SetCompensator
 from piga.compensation.result import write_rows
 from piga.formats.text.reader import TextStream
-from piga.instrument import Instrument, propagate_segments
+from piga.instrument import Instrument, propagate_fleet, propagate_segments
 from piga.ledger.store import Draft, DraftFile, open_store
 from piga.platform import compare, compensator, simulate, true_knowledge
 from piga.platform.navigator import inertial_states, true_start
@@ -115,6 +115,9 @@ def motion(_: list[int]) -> tuple[str, Values]:
         "baseline: compiled RK4, one step a sample": lambda: rk4(t, f, K, TAN_BETA, INST.alpha0, 1, alpha),
     }.items():
         values[name] = seconds(work, 9) / n * 1e9
+    fleet, some = [Instrument(K * (1 + 1e-4 * i), 0.004 + 1e-5 * i, 0.01 * i) for i in range(256)], 20_000
+    own = seconds(lambda: propagate_fleet(fleet, t[:some], f[:some], between="linear"), 9)
+    values["fleet of 256, angle"] = own / some / len(fleet) * 1e9
     values["constant stretch of 1e6 s, one step"] = (
         seconds(lambda: propagate_segments(INST, np.array([1e6]), np.array([[G0, 5 * G0, 0.0]])), 11) * 1e6
     )

@@ -132,6 +132,7 @@ if TYPE_CHECKING:
     from piga.instrument import closed_form as closed_form
     from piga.instrument import mean_rate as mean_rate
     from piga.instrument import propagate as propagate
+    from piga.instrument import propagate_fleet as propagate_fleet
     from piga.instrument import regime as regime
     from piga.ledger.store import open_store as open_store
     from piga.noise import allan_deviation as allan_deviation
@@ -158,7 +159,7 @@ _NAMES = {
     "errors": "ArgumentError CalibrationError CalibrationWarning CancelledError DataError IdentifiabilityError "
     "MissingPackageError PigaError PigaWarning RunFileError StoreError UnitError",
     "gravity_norm": "calibrate_set",
-    "instrument": "ErrorModel Instrument closed_form mean_rate propagate regime",
+    "instrument": "ErrorModel Instrument closed_form mean_rate propagate propagate_fleet regime",
     "ledger": "",
     "ledger.store": "open_store",
     "noise": "allan_deviation analyse_noise",

@@ -1,4 +1,4 @@
-"""Motion under recorded input: order, exactness, independent integrators, segments, bad input."""
+"""Motion under recorded input: order, exactness, independent integrators, segments, fleets, bad input."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import piga
-from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_segments
+from piga.instrument import ErrorModel, Instrument, closed_form, propagate, propagate_fleet, propagate_segments
 from piga.units import G0
 from tests.instrument.references import EPS, constant_cases, linear_record
 
@@ -187,6 +187,36 @@ def test_the_rate_is_that_of_the_angle_whatever_the_step(h: float) -> None:
     u = SHORT.scale_factor * f
     expected = u[:, 0] + SHORT.tan_beta * (u[:, 1] * np.sin(alpha) - u[:, 2] * np.cos(alpha))
     assert rate == pytest.approx(expected, abs=1e-12 + 4.0 * np.spacing(np.abs(alpha).max()))
+
+
+FLEET = [Instrument(0.09 + 0.001 * k, 0.01 * (k - 1), 0.5 * k) for k in range(3)]
+TIMES = np.arange(400) * 0.02
+FORCES, RATES = np.random.default_rng(7).normal(0.0, [[[[2 * G0]]], [[[0.1]]]], (2, 3, TIMES.size, 3))
+
+
+@pytest.mark.parametrize("between", ["smooth", "linear"])
+def test_rows_of_a_fleet_are_single_runs(between):
+    one = propagate_fleet(FLEET, TIMES, FORCES[0], between=between)
+    assert np.array_equal(one, [propagate(inst, TIMES, FORCES[0], between=between) for inst in FLEET])
+    inputs = propagate_fleet(FLEET[1], TIMES, FORCES, between=between)
+    assert np.array_equal(inputs, [propagate(FLEET[1], TIMES, f, between=between) for f in FORCES])
+    paired = propagate_fleet(FLEET, TIMES, FORCES, RATES, output="rate", between=between)
+    for row, inst, f, omega in zip(paired, FLEET, FORCES, RATES, strict=True):
+        assert np.array_equal(row, propagate(inst, TIMES, f, omega, with_rate=True, between=between)[1])
+
+
+def test_faults_of_a_fleet_name_motion_and_index():
+    bad = FORCES.copy()
+    bad[2, 5, 1] = math.nan
+    with pytest.raises(piga.ArgumentError, match=r"motion 2: f: nan at index \(5, 1\)"):
+        propagate_fleet(FLEET, TIMES, bad)
+    with pytest.raises(piga.ArgumentError, match=r"do not match: .*'instruments': 2, 'f': 3"):
+        propagate_fleet(FLEET[:2], TIMES, FORCES)
+    for fleet, forces in (([], FORCES[0]), (FLEET[0], FORCES[:0])):
+        with pytest.raises(piga.ArgumentError, match="do not match"):
+            propagate_fleet(fleet, TIMES, forces)
+    with pytest.raises(piga.ArgumentError, match="output: 'velocity' is not known"):
+        propagate_fleet(FLEET, TIMES, FORCES[0], output="velocity")
 
 
 def swaying(t):

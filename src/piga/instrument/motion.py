@@ -28,11 +28,14 @@ only after a kernel has stopped. So a clean record is read once, and only the ou
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piga._kernels.jit import config
 from piga._kernels.motion import (
     GOOD,
     ROOM,
@@ -457,6 +460,79 @@ def propagate(
         )
     alpha[0] = inst.alpha0
     return (alpha, rate) if with_rate else alpha
+
+
+def propagate_fleet(
+    instruments: Instrument | Sequence[Instrument],
+    t: ArrayLike,
+    f: ArrayLike,
+    base_rate: ArrayLike | None = None,
+    *,
+    output: Literal["angle", "rate"] = "angle",
+    between: Between = "smooth",
+) -> Array:
+    """Angle or rate of many motions over the same times: row i is :func:`piga.propagate` for motion i.
+
+    Many instruments with one input, one instrument with many inputs, or pairs. ``NUMBA_NUM_THREADS`` threads share the
+    motions, by default one per core.
+
+    Parameters
+    ----------
+    instruments:
+        m instruments, or one for all inputs.
+    t:
+        Sample times [s], shape (n,), increasing; common to all.
+    f:
+        Specific force [m/s^2], base axes: shape (n, 3) for one input, (m, n, 3) for many.
+    base_rate:
+        Inertial rate of the base [rad/s], base axes: shape (3,), (n, 3) or (m, n, 3).
+    output:
+        ``"angle"`` [rad] or ``"rate"`` [rad/s].
+    between:
+        As in :func:`piga.propagate`.
+
+    Returns
+    -------
+    result:
+        Shape (m, n).
+
+    Raises
+    ------
+    ArgumentError
+        If the numbers of instruments and inputs differ, a shape does not fit, a value is not finite,
+        or times do not increase; names the motion and the index.
+    """
+    if output not in ("angle", "rate"):
+        raise ArgumentError(f"output: {output!r} is not known", remedy="use 'angle' or 'rate'")
+    times, forces = time_array("t", t), float_array("f", f)
+    rates = None if base_rate is None else float_array("base_rate", base_rate)
+    fleet = [instruments] if isinstance(instruments, Instrument) else list(instruments)
+    counts = {} if isinstance(instruments, Instrument) else {"instruments": len(fleet)}
+    for name, array in (("f", forces), ("base_rate", rates)):
+        counts |= {} if array is None or array.ndim < 3 else {name: len(array)}
+    m = max(counts.values(), default=1)
+    if m == 0 or any(count != m for count in counts.values()):
+        raise ArgumentError(
+            f"instruments and inputs: their numbers do not match: {counts}",
+            remedy="give the same number of each, or one for all",
+        )
+    result = np.empty((m, times.size))
+
+    def row(i: int) -> None:
+        inst = fleet[i if len(fleet) > 1 else 0]
+        force = forces if forces.ndim < 3 else forces[i]
+        omega = rates if rates is None or rates.ndim < 3 else rates[i]
+        try:
+            if output == "angle":
+                result[i] = propagate(inst, times, force, omega, between=between)
+            else:
+                result[i] = propagate(inst, times, force, omega, with_rate=True, between=between)[1]
+        except ArgumentError as error:
+            raise ArgumentError(f"motion {i}: {error.message}", remedy=error.remedy) from None
+
+    with ThreadPoolExecutor(config.NUMBA_NUM_THREADS) as pool:
+        list(pool.map(row, range(m)))
+    return result
 
 
 # -- arrays from users -------------------------------------------------------------------------------------
