@@ -310,6 +310,7 @@ def test_lines_of_a_base_that_stays_at_its_place_are_those_of_the_theory(kind, h
         ({}, "", True),
         ({"motion": MotionPlan("turn", turn_rate=0.01)}, "the base turns", True),
         ({"motion": MotionPlan("track")}, "the base changes its place", False),
+        ({"reversal": 1}, "the cases reverse", False),
         ({"duration": 3600.0}, "in less than 4 h", False),
     ],
 )

@@ -72,6 +72,15 @@ def test_the_force_alone_tells_it_too(sources):
     )
 
 
+@pytest.mark.parametrize("reversal", [1, 4])
+@pytest.mark.parametrize("sources", [("gimbals", "pick-off"), ("force", "pick-off")])
+def test_cases_that_reverse_are_identified_alike(sources, reversal):
+    s = calibration(reversal=reversal)
+    identified = identify(simulate(s).readouts, s.place, sources=sources)
+    atol = 2e-3 * ARCSEC if "force" in sources else 1e-13
+    np.testing.assert_allclose(identified.values, truth(s), rtol=0, atol=atol)
+
+
 @pytest.mark.parametrize("step", [4.0, 8.0, 24.0])
 def test_the_length_of_the_step_does_not_bias_what_the_force_tells(step):
     s = calibration(step=step)

@@ -103,11 +103,12 @@ def test_the_redundancy_angle_is_followed_without_lag():
 
 
 @long
-@pytest.mark.parametrize("kind", ["unequal", "at rest", "moving"])
+@pytest.mark.parametrize("kind", ["reversal", "unequal", "at rest", "moving"])
 def test_the_chain_runs_for_other_schedules_and_bases(kind):
     noise = Sensors(gimbal_noise=ARCSEC, pickoff_noise=ARCSEC, velocity_random_walk=1e-5)
     rate = 2.0 * np.pi / 480.0
     changes = {
+        "reversal": {"reversal": 2},
         "unequal": {"equatorial_rotation": 0.8 * rate},
         "at rest": {"polar_rotation": 0.0, "equatorial_rotation": 0.0},
         "moving": {"motion": MotionPlan("turn", turn_rate=0.01), "compensation": Compensation(attitude="true")},

@@ -35,6 +35,12 @@ def test_quantities_are_in_si():
     assert s.steps == 864000
 
 
+@pytest.mark.parametrize(("text", "turns"), [("none", 0), ("each-turn", 1), ("4 turns", 4)])
+def test_reversal_words(tmp_path, text, turns):
+    s = _load(tmp_path, LEAST + f'[case_rotation]\nreversal = "{text}"\nequatorial_period = "none"\n')
+    assert (s.reversal, s.equatorial_rotation) == (turns, 0.0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -47,7 +53,7 @@ def test_quantities_are_in_si():
         (LEAST.replace("1 h", "-1 h"), r"\[run.duration\]: expected a number > 0"),
         (LEAST.replace("1 h", "1000.5 s"), "whole number"),
         (LEAST + '[case_rotation]\nperiod = "5 s"\n', "fewer than 8 samples"),
-        (LEAST + '[case_rotation]\nreversal = "often"\n', "reversal"),
+        (LEAST + '[case_rotation]\nreversal = "often"\n', "reversal = 'often' is not known"),
         (
             LEAST + '[polar]\nharmonics = [[0, "1 arcmin", "0 deg"]]\n',
             r"\[polar.harmonics\[0\]\[0\]\]: expected a whole number >= 1",

@@ -14,6 +14,7 @@ from piga.frames import axis_turn, matrix_to_rotation_vector, rotation_vector_to
 from piga.platform import simulate
 from piga.platform.geometry import (
     earth_to_geodetic,
+    encoder_angle,
     geodetic_to_earth,
     gimbal_attitude,
     gravitation,
@@ -116,13 +117,19 @@ def test_drift_follows_its_differential_equation():
 
 def test_case_rotation_averages_the_case_fixed_drift():
     gyro = Gyro(case_drift=(1e-6, 0.0))
-    for rotation in (2.0 * np.pi / 480.0, 0.0):
-        s = published(duration=4800.0, step=4.0, polar=gyro, equatorial=Gyro(), polar_rotation=rotation)
+    for rotation, reversal in ((2.0 * np.pi / 480.0, 0), (2.0 * np.pi / 480.0, 1), (0.0, 0)):
+        turning = {"polar_rotation": rotation, "reversal": reversal}
+        s = published(duration=4800.0, step=4.0, polar=gyro, equatorial=Gyro(), **turning)
         turned = np.linalg.norm(matrix_to_rotation_vector(simulate(s).truth.triad_end))
         if rotation == 0.0:
             assert turned == pytest.approx(4.8e-3, rel=1e-6)
         else:
             assert turned < 1e-6
+
+
+def test_reversal_turns_back_after_so_many_turns():
+    angle = encoder_angle(2.0 * np.pi / 100.0, 2, [0.0, 50.0, 200.0, 250.0, 400.0, 450.0]) / np.pi
+    np.testing.assert_allclose(angle, [0.0, 1.0, 4.0, 3.0, 0.0, 1.0], atol=1e-12)
 
 
 def test_sway_gives_the_force_of_its_acceleration():

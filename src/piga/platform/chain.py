@@ -165,13 +165,15 @@ def case_rates(scenario: PlatformScenario) -> tuple[float, ...]:
 
 
 def has_theory(scenario: PlatformScenario) -> bool:
-    """True if :func:`theory_lines` holds: four hours on a base that stays at its place; a case turns."""
+    """True if :func:`theory_lines` holds: four hours on a base that stays at its place; a case turns without reversals."""
     turning = max(scenario.polar_rotation, scenario.equatorial_rotation) > 0.0
     return turning and not theory_note(scenario).endswith("no theory is shown")
 
 
 def theory_note(scenario: PlatformScenario) -> str:
     """The reason why the lines are shown without theory, or without that of roll and pitch; else empty."""
+    if scenario.reversal:
+        return "the cases reverse: the closed form of the lines does not hold, and no theory is shown"
     if scenario.motion.kind == "track":
         return "the base changes its place: the closed form of the lines does not hold, and no theory is shown"
     if scenario.duration < _NEIGHBOURS:

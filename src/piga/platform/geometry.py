@@ -181,14 +181,20 @@ def wrapped(angle: ArrayLike) -> Array:
     return np.remainder(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi
 
 
-def apparent_gyro(gyro: Gyro, rate: float) -> Gyro:
+def encoder_angle(rate: float, reversal: int, times: ArrayLike) -> Array:
+    """Angle of a case encoder [rad] at ``times`` [s]: ``rate t``, folded back every ``reversal`` turns (0: never)."""
+    angle, span = rate * np.asarray(times, dtype=float), 2.0 * np.pi * reversal
+    return span - np.abs(np.mod(angle, 2.0 * span) - span) if reversal else angle
+
+
+def apparent_gyro(gyro: Gyro, rate: float, reversal: int = 0) -> Gyro:
     """The gyro as identification sees it: under steady rotation a case-fixed drift looks like misalignment.
 
     Drift ``w`` in case axes [rad/s] moves the momentum on a circle, ``w exp(ic) / (i rate)``. The circle turns with the
     case, as the misalignment ``m exp(ic)`` does. Only ``m - i w / rate`` is observable, and only this must be
-    compensated. Own derivation, docs/theory/platform.md section 4.
+    compensated; a reversal separates the two. Own derivation, docs/theory/platform.md section 4.
     """
-    if rate == 0.0 or not any(gyro.case_drift):
+    if rate == 0.0 or reversal or not any(gyro.case_drift):
         return gyro
     seen = complex(gyro.misalignment, 0.0) - 1j * complex(*gyro.case_drift) / rate
     return msgspec.structs.replace(gyro, misalignment=abs(seen), phase=gyro.phase + float(np.angle(seen)))

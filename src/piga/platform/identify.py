@@ -32,7 +32,7 @@ _SMALLEST_SIGMA = 1e-12
 """Smallest noise level of a group. It avoids division by zero for a record without noise."""
 _NOISE_STEPS = 20
 """Most steps to the noise levels of the groups."""
-_STEPS, _ALIGNING_STEPS = 6, 3
+_STEPS, _ALIGNING_STEPS = 10, 3
 """Most steps of an identification; steps of an alignment."""
 _SETTLED = 0.01
 """The iteration ends if the step is below this share of the standard uncertainties."""

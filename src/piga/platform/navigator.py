@@ -85,8 +85,8 @@ def _follow_redundancy(readouts: Readouts, expected: Array, knowledge: Knowledge
     The filter is a critically damped second-order tracker. Its time constant is four case turns (eight minutes
     if the cases rest), so errors of the model at the case-rotation period are averaged out.
     """
-    last, h = min(len(expected) - 1, 64), readouts.step
-    turned = abs(readouts.encoder1[last] - readouts.encoder1[0]) / (last * h)
+    h = readouts.step
+    turned = np.abs(np.diff(readouts.encoder1[:3])).max() / h
     constant = 4.0 * 2.0 * np.pi / turned if turned > 0.0 else 480.0
     decay, eta = np.exp(-h / constant), np.empty(len(expected))
     gains = 1.0 - decay * decay, (1.0 - decay) ** 2 / h

@@ -6,6 +6,7 @@ The quantities of a document are brought to SI (:func:`in_si`) before it is conv
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
@@ -142,7 +143,8 @@ class Compensation(TomlTable, frozen=True):
 class PlatformScenario:
     """A whole platform run in SI units; ``duration`` and ``step`` [s], ``redundancy`` eta at the start [rad].
 
-    ``polar_rotation`` and ``equatorial_rotation`` are the rates of the cases [rad/s] (0: cases at rest).
+    ``polar_rotation`` and ``equatorial_rotation`` are the rates of the cases [rad/s] (0: cases at rest), ``reversal`` the number
+    of turns after which each turns back (0: never).
     ``triad``: rotation vector [rad] that carries inertial axes into the triad G at the start (what
     alignment has to find).
     """
@@ -154,6 +156,7 @@ class PlatformScenario:
     motion: MotionPlan = field(default_factory=MotionPlan)
     polar_rotation: float = 0.0
     equatorial_rotation: float = 0.0
+    reversal: int = 0
     polar: Gyro = field(default_factory=Gyro)
     equatorial: Gyro = field(default_factory=Gyro)
     redundancy: float = 0.0
@@ -183,7 +186,7 @@ class CaseRotationFile(TomlTable, frozen=True):
 
     period: Literal["none"] | Time = 480.0
     equatorial_period: Literal["none"] | Time | None = None
-    reversal: Literal["none"] = "none"
+    reversal: str = "none"
 
 
 class RedundancyFile(TomlTable, frozen=True):
@@ -231,6 +234,7 @@ class ScenarioFile(TomlTable, frozen=True):
         motion, cases, c, step = self.motion, self.case_rotation, self.compensation, self.run.step
         periods = (cases.period, cases.equatorial_period or cases.period)
         rates = [0.0 if isinstance(period, str) else 2.0 * math.pi / period for period in periods]
+        reverses = re.fullmatch(r"none|each-turn|([1-9]\d*) turns?", cases.reversal)
         file = None if motion.file is None else str(path.parent / motion.file)
         scenario = PlatformScenario(
             place=self.site,
@@ -240,6 +244,7 @@ class ScenarioFile(TomlTable, frozen=True):
             motion=msgspec.structs.replace(motion, file=file),
             polar_rotation=rates[0],
             equatorial_rotation=rates[1],
+            reversal=int(reverses[1] or cases.reversal == "each-turn") if reverses else 0,
             polar=self.polar,
             equatorial=self.equatorial,
             redundancy=self.redundancy.initial,
@@ -254,6 +259,8 @@ class ScenarioFile(TomlTable, frozen=True):
         for wrong, message, remedy in (
             (motion.kind == "track" and not motion.file,
              "[motion] kind = 'track' needs a file", "add file = 'track.csv'"),
+            (not reverses, f"[case_rotation] reversal = '{cases.reversal}' is not known",
+             "write 'none', 'each-turn' or e.g. '3 turns'"),
             (not c.models, "[compensation] models is empty", "name one of none, A, B, C"),
             (motion.kind != "static" and "aligned" in (c.attitude, c.drift),
              "[compensation] attitude or drift = 'aligned' needs a static base",

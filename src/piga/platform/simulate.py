@@ -341,8 +341,8 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
         increments=increments,
         gimbals=_noisy(gimbals, sensors.gimbal_noise, sensors.gimbal_quantisation, streams[1]),
         pickoff=_noisy(ring, sensors.pickoff_noise, sensors.pickoff_quantisation, streams[2]),
-        encoder1=s.polar_rotation * times,
-        encoder2=s.equatorial_rotation * times,
+        encoder1=geometry.encoder_angle(s.polar_rotation, s.reversal, times),
+        encoder2=geometry.encoder_angle(s.equatorial_rotation, s.reversal, times),
         altitude=_noisy(motion.place[:, 2], sensors.altitude_noise, 0.0, streams[3], len(times)),
         turn_sensitivity=1.0 / sensors.piga.scale_factor if sensors.pigas else 0.0,
     )
@@ -351,8 +351,8 @@ def simulate(scenario: PlatformScenario, *, motion: BaseMotion | None = None) ->
 
 def _case_angles(s: PlatformScenario, times: Array) -> tuple[Array, Array]:
     """Case angles [rad] of the polar and the equatorial gyro, phases included."""
-    first = s.polar_rotation * times + s.polar.phase
-    return first, s.equatorial_rotation * times + s.equatorial.phase
+    first = geometry.encoder_angle(s.polar_rotation, s.reversal, times) + s.polar.phase
+    return first, geometry.encoder_angle(s.equatorial_rotation, s.reversal, times) + s.equatorial.phase
 
 
 def _drifted(s: PlatformScenario, half: Array, triad: Array, eta: float) -> tuple[Array, Array]:

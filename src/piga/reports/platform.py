@@ -39,7 +39,8 @@ def page(title: str, s: PlatformScenario, tiles: tuple[Tile, ...], shown: tuple[
 
 def _parameter_table(identification: Identification, s: PlatformScenario) -> Table:
     truth = _truth_by_name(
-        apparent_gyro(s.polar, s.polar_rotation), apparent_gyro(s.equatorial, s.equatorial_rotation)
+        apparent_gyro(s.polar, s.polar_rotation, s.reversal),
+        apparent_gyro(s.equatorial, s.equatorial_rotation, s.reversal),
     )
     noise = ", ".join(
         f"force {level:.2g} m/s^2" if name == "force" else f"{name} {level / ARCSEC:.3g} arcsec"
