@@ -127,8 +127,8 @@ def test_an_open_line_that_is_answered_makes_the_run_file_whole(log: Path) -> No
 def test_a_run_file_that_was_changed_stays(log: Path) -> None:
     """An unchanged draft is replaced. Beside a changed one the new draft lies in ``2``, and reads the same log."""
     path = log.with_suffix(".toml")
-    for _ in range(2):
-        assert run("init", log)[0] == 0
+    for words in ((), (), ("--set", SCALE)):
+        assert run("init", log, *words)[0] == 0
     path.write_text(f"# mine\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
     code, out, _ = run("init", log)
     assert (code, "It reads 960 of 960 rows" in out) == (0, True)

@@ -291,7 +291,7 @@ def test_entries_of_the_example_are_a_draft(lab, tmp_path, capsys):
     own = tmp_path / "own.toml"
     text = EXAMPLE.read_text(encoding="utf-8").replace('"Example Navigation Ltd"', '"A customer"')
     own.write_text(text, encoding="utf-8")
-    words = ("certificate", "issue", lab / "calibration.json", "--data", own, "--out")
+    words = ("certificate", "issue", lab / "calibration.json", "--dcc", "--data", own, "--out")
     code, _, err = outcome(capsys, *words, tmp_path / "draft")
     assert (code, "DRAFT" in err) == (0, True), err
     own.write_text(text.replace('"Example Inertial Metrology Laboratory"', '"A laboratory"'), encoding="utf-8")
@@ -301,6 +301,11 @@ def test_entries_of_the_example_are_a_draft(lab, tmp_path, capsys):
         (tmp_path / name / "certificate.html").read_text().count('class="draft"') for name in ("draft", "whole")
     ]
     assert marked == [1, 0]
+    numbers = [
+        re.search(r"<\w+:uniqueIdentifier>(.*?)</", (tmp_path / name / "certificate.xml").read_text())[1]
+        for name in ("draft", "whole")
+    ]
+    assert numbers == [f"DRAFT {numbers[1]}", numbers[1]]
 
 
 def test_a_number_is_used_once(certificate, tmp_path):
@@ -321,7 +326,7 @@ def test_a_number_is_used_once(certificate, tmp_path):
     assert changed != text
     code, message = issue(changed)
     assert code == 2
-    assert f"a different certificate has the number {number}" in message
+    assert f"a different certificate has the number DRAFT {number}" in message
     assert (out / "certificate.html").read_text(encoding="utf-8") == page
     assert not (out / "2").exists()
     code, message = issue(changed.replace(f'number = "{number}"', f'number = "{number}-b"'), name="d.toml")

@@ -15,6 +15,7 @@ import typer
 
 import piga
 from piga.cli.common import (
+    Ending,
     RunFileArgument,
     argument,
     counted,
@@ -56,6 +57,7 @@ def init(
     chosen = out or log.parent / f"{log.name.split('.')[0] or 'run'}.toml"
     if chosen.suffix != ".toml":
         raise ArgumentError(f"--out {chosen}: the name must end in .toml", remedy="e.g. run.toml")
+    Ending.options = ()  # a draft that nobody changed is replaced by that of other words
     with deliver_file(chosen, "init", [log]) as to:
         target = (to.folder or chosen.parent) / chosen.name
         given = dict(setting(text) for text in settings or [])

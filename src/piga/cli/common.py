@@ -169,7 +169,7 @@ def deliver(
             paths = dict.fromkeys(path for name in names for path in sorted(stage.glob(name)))
             written = [f"wrote {place / path.relative_to(stage)}" for path in paths]
         if why:
-            beside = f"{folder} holds {why}: the new ones are in {place}; --force replaces the old ones"
+            beside = f"{folder.resolve().name} holds {why}: the new ones are in {place}; --force replaces the old ones"
     if not Ending.as_json:
         text = delivery._text()
         say("\n".join([text, *written] if text else written))

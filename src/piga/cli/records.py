@@ -422,9 +422,12 @@ def issue(
     if key is not None and not dcc:
         raise PigaError("--key signs the XML, but no XML is written", remedy="add --dcc")
     file = read_certificate_file(data)
-    if file.certificate.issued is None:
-        today = dt.datetime.now().astimezone().date()
-        file = replace(file, certificate=replace(file.certificate, issued=today))
+    named = file.certificate
+    if named.issued is None:
+        named = replace(named, issued=dt.datetime.now().astimezone().date())
+    if is_draft(file) and not named.number.startswith("DRAFT"):  # the digital certificate shows it, too
+        named = replace(named, number=f"DRAFT {named.number}")
+    file = replace(file, certificate=named)
     certified, digest = read_with_digest(calibration)
     former = file.adjustment.before
     before = piga.Calibration.from_json(data.parent / former) if former else None

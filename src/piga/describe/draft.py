@@ -381,7 +381,7 @@ def put_instrument(draft: RunFileDraft, log: LogDescription, output: ColumnGuess
     draft.put(
         "instrument.scale_factor",
         f"{slope * factor * G0:.4g} {unit}/g",
-        "from the log: output rate over specific force along X0",
+        "from the log: output rate over specific force along X0; write the nominal value, or K is tested against itself",
     )
 
 

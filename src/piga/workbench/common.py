@@ -378,7 +378,7 @@ def _show_job(request: Request) -> Response:
     job = bench.jobs.by_key.get(request.path_params["key"])
     if job is None:
         raise OutsideError("there is no such job; jobs end with the server", remedy="start it again")
-    state, line = job.state, f"piga {shlex.join(job.command)}"
+    state, line = job.state, "" if job.command[0] == "envelopes" else f"piga {shlex.join(job.command)}"
     files = _result_files(bench, job) if state == "done" else []
     return render(request, "job", f"{job.title} {job.subject}", job=job, state=state, line=line, files=files)
 

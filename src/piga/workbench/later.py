@@ -130,6 +130,10 @@ def _certificate(request: Request, sent: Sent) -> Response:
             place = bench.folder.state_room("trials") / secrets.token_hex(8)
             shown = {key: value or _EXAMPLE[key] for key, value in entries.items()}
             shown["certificate.number"] = f"DRAFT {number}"
+            if not entries["environment"]:  # the gravity of the example is not that of the laboratory
+                shown["environment"] = [
+                    one for one in shown["environment"] if "gravity" not in one["name"].lower()
+                ]
             place.with_suffix(".toml").write_text(_document(document, shown), encoding="utf-8")
             command = ["--data", f"{TRIALS}{place.name}.toml", "--out", f"{TRIALS}{place.name}"]
     except PigaError as error:
