@@ -137,6 +137,7 @@ if TYPE_CHECKING:
     from piga.ledger.store import open_store as open_store
     from piga.noise import allan_deviation as allan_deviation
     from piga.noise import analyse_noise as analyse_noise
+    from piga.planning import plan_mounting as plan_mounting
     from piga.planning import plan_test as plan_test
     from piga.planning import read_plan as read_plan
     from piga.records import Calibration as Calibration
@@ -163,7 +164,7 @@ _NAMES = {
     "ledger": "",
     "ledger.store": "open_store",
     "noise": "allan_deviation analyse_noise",
-    "planning": "plan_test read_plan",
+    "planning": "plan_mounting plan_test read_plan",
     "platform": "",
     "records": "Calibration Coefficient Residuals Run",
     "reports": "",
@@ -176,7 +177,7 @@ _LAZY = {name: f"piga.{room}" for room, names in _NAMES.items() for name in name
 ROOMS = tuple(room for room in _NAMES if "." not in room and room != "errors")
 """Rooms with further public names; ``piga.platform`` is imported on first use."""
 _NEEDS = {
-    "scipy": "allan_deviation analyse_noise calibrate calibrate_set compare_models find_trend plan_test read_plan",
+    "scipy": "allan_deviation analyse_noise calibrate calibrate_set compare_models find_trend plan_mounting plan_test read_plan",
     "pyarrow": "example_run read_run read_scenario run_scenario",
 }
 """Public names that cannot do without a package beyond the small core."""

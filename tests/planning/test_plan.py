@@ -22,8 +22,10 @@ from piga.planning.candidates import (
     predict,
     read_plan,
 )
-from piga.planning.plan import Plan, plan_document, plan_test, scenario_text
+from piga.planning.plan import Plan, plan_document, plan_mounting, plan_test, scenario_text
 from piga.planning.search import Criterion, whole_pairs
+from piga.reports.planning import page
+from piga.reports.render.page import page_text
 from piga.stand import Scenario, read_scenario, run_scenario
 from tests.chance import assert_variance
 from tests.planning.cases import request
@@ -171,6 +173,51 @@ def test_levels_of_a_centrifuge_and_a_head_together(tmp_path):
     assert all(prediction.refusal for prediction in plan.standard)
 
 
+PROFILE = """
+[mounting]
+skew = "0:91:5 deg"
+margin = 800.0
+profile = { kind = "dividing-head", latitude = "40 deg", positions = [POSITIONS], dwell = "5 s", move = "5 s" }
+"""
+
+
+def mounting_request(folder: Path, positions: str):
+    return request(folder, more=PROFILE.replace("POSITIONS", positions), plan='wanted = { k0 = "2 ug" }')
+
+
+def test_mounting_skew(tmp_path):
+    """A force that swings from 0 to 80 deg: least angle to the axis is largest with the axis at 40 deg."""
+    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "80 deg"'))
+    assert math.degrees(mounting.skew) == pytest.approx(40.0)
+    assert math.degrees(mounting.clock) == pytest.approx(180.0)
+    tangent = math.tan(200.0 / 206264.806)
+    assert mounting.margin == pytest.approx(1.0 / (math.tan(math.radians(40.0)) * tangent), rel=0.01)
+    assert mounting.margin == mounting.margin_history.min() > mounting.unskewed_history.min() > 1.0
+    assert list(np.degrees(mounting.acceptable)) == pytest.approx([30, 35, 40, 45, 50])
+
+
+def test_mounting_sees_a_passage_between_rows(tmp_path):
+    """The force turns through 180 deg and back: every axis in its plane is passed through."""
+    mounting = plan_mounting(mounting_request(tmp_path, '"0 deg", "180 deg"'))
+    assert mounting.margins[0].max() == 0.0
+    assert plan_mounting(request(tmp_path)) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("0:91:5 deg", "0:90 deg", r"\[mounting\] skew: '0:90 deg' is not a range"),
+        ("0:91:5 deg", "0:0:5 deg", r"\[mounting\] skew: the range is empty"),
+        ("200 arcsec", "0 arcsec", "without it there is no lock zone"),
+    ],
+)
+def test_a_mounting_that_cannot_be_planned(tmp_path, old, new, words):
+    path = mounting_request(tmp_path, '"0 deg", "80 deg"').path
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(piga.PigaError, match=words):
+        plan_mounting(read_plan(path))
+
+
 @pytest.mark.long
 def test_prediction_is_what_repeats_show(tmp_path):
     """Spread of the estimates over simulated repeats of the exported scenario."""
@@ -239,7 +286,8 @@ SMALL = {"rate": 1, "positions": "0:360:60 deg", "duration": 301, "terms": '"sca
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     wishes = 'wanted = { k0 = "2 ug" }\nmove = "1 s"\nmargin = 700.0\nlongest_dwell = "400 s"'
-    return plan_test(request(tmp_path_factory.mktemp("plan"), **SMALL, plan=wishes))
+    more = PROFILE.replace("POSITIONS", '"0 deg", "80 deg"')
+    return plan_test(request(tmp_path_factory.mktemp("plan"), **SMALL, plan=wishes, more=more))
 
 
 @pytest.mark.long
@@ -278,6 +326,8 @@ def test_document_text_and_scenario(plan: Plan, tmp_path: Path) -> None:
         "degrees_of_freedom": pytest.approx(degrees),
         "unit": "g",
     }
+    assert document["mounting"]["skew_deg"] == pytest.approx(40.0)
+    assert "Best skew 40 deg towards 180 deg about X: least |a_x| is 12" in page_text(page(plan))
     reasons = {one.label: reason for one, reason in plan.excluded}
     assert set(reasons) == {"60 deg", "120 deg", "240 deg", "300 deg"}
     assert reasons["60 deg"].startswith("within 700 times the lock zone")

@@ -78,6 +78,11 @@ def test_page_program_and_scenario_have_nothing_of_a_gimbal(plan: Plan) -> None:
     ("old", "new", "words"),
     [
         ('"k2"', '"tan_beta"', "'tan_beta' turns with the gimbal"),
+        (
+            "[plan]",
+            '[mounting]\nprofile = {{ kind = "dividing-head", latitude = "0 deg", positions = [] }}\n[plan]',
+            "belongs to a gyro",
+        ),
         ('{unit}/g" }}', 'rad/s/g" }}', "wanted.scale_factor"),
     ],
 )

@@ -26,6 +26,8 @@ from piga.records.calibration.coefficient import changes
 from piga.stand import Composite, simulate_test
 from tests.planning.cases import request
 
+MOUNTING = '[mounting]\nprofile = { kind = "dividing-head", latitude = "40 deg", positions = [] }\n'
+
 
 @pytest.mark.interpreted
 @pytest.mark.parametrize(
@@ -41,7 +43,7 @@ from tests.planning.cases import request
         ("[plan]", '[plan]\nmove = "3 g"', "move"),
         ("[plan]", '[plan]\nwanted = { k3 = "1 ug/g^3" }', "wanted: 'k3' is not estimated"),
         ("[plan]", '[plan]\ncriterion = "c"', "criterion 'c' needs combination"),
-        ("[plan]", '[mounting]\nskew = "0:91:1 deg"\n[plan]', r"\[mounting\] is gone"),
+        ("[plan]", f'{MOUNTING}step = "0 s"\n[plan]', r"\[mounting\] step is not positive"),
         ("[plan]", '[plan]\ndwell = "3 s"', "unknown key 'dwell'"),
         ("[plan]", '[plan]\nlongest_dwell = "3 s"', "longest_dwell is below minimum_dwell"),
         ('"k2"', '"k0_t"', "'k0_t' depends on when"),

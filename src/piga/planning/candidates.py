@@ -29,7 +29,7 @@ from piga.instrument.electronics import Electronics
 from piga.records.calibration.coefficient import Coefficient, coverage_factor
 from piga.records.run import Run
 from piga.records.run_file import ModelTable, Quantity, Seconds, TomlTable, UncertaintyTable
-from piga.records.terms import check_terms, scale_factor_in, si_factor, unit_of
+from piga.records.terms import GYRO, check_terms, scale_factor_in, si_factor, unit_of
 from piga.results import Array, Result
 from piga.stand import Composite, simulate_test
 from piga.stand.profile import NONE
@@ -38,6 +38,7 @@ from piga.stand.scenario import (
     CompositeTable,
     DividingHeadTable,
     NoiseTable,
+    ProfileTable,
     RateTableTable,
     Scenario,
     ScenarioTable,
@@ -83,11 +84,21 @@ class PlanSettings(TomlTable, frozen=True):
     shuffle: bool = True
 
 
+class MountingTable(TomlTable, frozen=True):
+    """``[mounting]``: a profile of the platform, and the skew angles to try."""
+
+    profile: ProfileTable | _PlannedStand
+    skew: str = "0:91:1 deg"
+    clock: str = "0:360:15 deg"
+    step: Seconds = "0.1 s"
+    margin: float = 2.0
+
+
 class PlanTable(ScenarioTable, frozen=True, kw_only=True):
-    """A whole plan file. ``mounting`` stands in older files."""
+    """A whole plan file."""
 
     plan: PlanSettings
-    mounting: Any = None
+    mounting: MountingTable | None = None
 
     @property
     def stands(self) -> tuple[SimpleStand, ...]:
@@ -175,12 +186,15 @@ def _refuse(table: PlanTable, model: ModelTable, times: dict[str, float]) -> Non
     timely = ", ".join(name for name in model.terms if name in _TIMELY)
     fixed = [str(one.__struct_config__.tag) for one in table.stands if not isinstance(one, _PlannedStand)]
     electronics, phase, plan = table.electronics, "tan_beta" in model.terms, table.plan
+    mounting = table.mounting
     known = [*model.terms, *(["phi"] if phase and model.phases == "shared" else [])]
     wished = {"coefficients": plan.coefficients or (), "combination": plan.combination, "wanted": plan.wanted}
     no_rate = electronics.output == "rate" and model.phases == "shared" and with_phase(model.terms)
     for refused, words, remedy in (
-        (table.mounting is not None, "[mounting] is gone: a plan chooses positions only",
-         "leave it out, and compare a_x with piga.instrument.dead_zone for each skew"),
+        (mounting is not None and output_unit(table) != GYRO,
+         "[mounting] belongs to a gyro accelerometer, and the instrument is direct", "leave it out"),
+        (mounting is not None and not mounting.in_si("[mounting] ")["step"] > 0.0,
+         "[mounting] step is not positive", "give a time above 0 s, e.g. '0.1 s'"),
         (timely, f"[model] terms: '{timely}' depends on when a position is taken and cannot be planned",
          "leave it out of the plan; it can still be estimated from the test"),
         (phase and not {"beta", "tan_beta"} & {*table.truth},

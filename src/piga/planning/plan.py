@@ -3,17 +3,24 @@
 A visit of duration tau at candidate j gives the information ``M_j(tau)`` and costs ``tau + move``. The search finds pairs of
 visits (:mod:`piga.planning.search`).
 The estimator predicts the reported uncertainties from the noiseless record of the test.
+
+The mounting question: which skew keeps the instrument out of the lock zone over a profile. With ``u = K f - Omega``
+it runs where ``u_x^2 > u_t^2 tan^2(beta)`` [Wei2024]. A skew ``sigma`` towards the direction at ``clock`` about the platform's
+X axis makes ``u_x = u . (cos sigma, sin sigma cos clock, sin sigma sin clock)``; the margin of a mounting is the least
+``|u_x|/(u_t tan(beta))`` of the profile, and it must exceed 1 (own formulation).
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from piga._version import __version__
 from piga.errors import CalibrationError
@@ -30,7 +37,9 @@ from piga.planning.candidates import (
 from piga.planning.search import Search, in_order
 from piga.progress import Progress, Steps
 from piga.records.terms import unit_of
-from piga.results import Plotted, Reported, Result, finite
+from piga.results import Array, Plotted, Reported, Result, finite
+from piga.stand.machines import angles_of_range
+from piga.stand.profile import NONE
 from piga.stand.scenario import DividingHeadTable
 from piga.text_files import toml_text
 from piga.threads import one_thread
@@ -42,11 +51,39 @@ _STANDARD = (4, 6, 12, 24)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Mounting(Result):
+    """Margins of all mountings over a profile, (skews, directions); ``limit`` is the wanted one.
+
+    ``skew`` and ``clock`` [rad] are those of the largest ``margin``; ``clock`` is the direction about X, from Y towards Z.
+    ``margin_history`` (n,) holds ``|u_x|/(u_t tan(beta))`` at times ``t`` [s], ``unskewed_history`` that without skew.
+    """
+
+    skews: Array
+    margins: Array
+    limit: float
+    skew: float
+    clock: float
+    t: Array
+    margin_history: Array
+    unskewed_history: Array
+
+    @property
+    def margin(self) -> float:
+        """Largest margin."""
+        return float(self.margins.max())
+
+    @property
+    def acceptable(self) -> Array:
+        """Skews [rad] that reach the wanted margin at their best direction."""
+        return self.skews[self.margins.max(axis=1) >= self.limit]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan(Reported, Plotted, Result):
     """A planned test and its comparison plans.
 
     ``plot()`` shows chosen positions and the time in each: two panels. ``usable`` candidates keep the margin from the lock
-    zone. ``cheapest`` is the shortest test found that reaches the wanted uncertainties.
+    zone. ``cheapest`` is the shortest test found that reaches the wanted uncertainties. ``mounting`` answers ``[mounting]``.
     """
 
     request: PlanRequest
@@ -55,6 +92,7 @@ class Plan(Reported, Plotted, Result):
     best: Prediction
     standard: tuple[Prediction, ...]
     cheapest: Prediction | None = None
+    mounting: Mounting | None = None
 
     @property
     def excluded(self) -> tuple[tuple[Candidate, str], ...]:
@@ -85,6 +123,7 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
     """
     steps = Steps(progress, 4)
     steps("listing positions")
+    mounting = plan_mounting(request)
     candidates, margin = find_candidates(request), request.table.plan.margin
     usable = tuple(c for c in candidates if not c.margin < margin)
     if not usable:
@@ -105,7 +144,51 @@ def plan_test(request: PlanRequest, *, progress: Progress | None = None) -> Plan
         best=best,
         standard=standard,
         cheapest=search.cheapest(best) if request.wanted else None,
+        mounting=mounting,
     )
+
+
+@one_thread()
+def plan_mounting(request: PlanRequest) -> Mounting | None:
+    """Best skew for the profile of ``[mounting]``; None when the plan has none.
+
+    Raises
+    ------
+    CalibrationError
+        If tan_beta is zero: there is no lock zone.
+    ArgumentError
+        If a range of angles is empty.
+    """
+    table, instrument = request.table.mounting, request.scenario.specimen.instrument
+    if table is None:
+        return None
+    if instrument.tan_beta == 0.0:
+        raise CalibrationError(
+            "[mounting] needs [truth] beta: without it there is no lock zone",
+            remedy="add the expected size, e.g. beta = '20 arcsec'",
+        )
+    skews = np.array(angles_of_range(table.skew, "[mounting] skew", "0:91:1 deg"))
+    clocks = np.array(angles_of_range(table.clock, "[mounting] clock", "0:360:15 deg"))
+    stand, step = table.profile.build(request.path.parent), table.in_si("[mounting] ")["step"]
+    begin, end = stand.segments()[0].start, stand.segments()[-1].stop
+    t = np.minimum(np.arange(begin, end + 0.5 * step, step), end)
+    force, rate = stand.motion(t, NONE)
+    u = instrument.scale_factor * force - rate
+
+    def ratios(skew: float, towards: Array) -> Array:
+        """Ratio at each time and direction; 0 where ``u_x`` changed its sign since the time before: it crossed the lock zone."""
+        across_x = math.sin(skew) * np.array([np.cos(towards), np.sin(towards)])
+        along = u @ np.vstack([np.full(towards.size, math.cos(skew)), across_x])
+        across = np.sqrt(np.maximum(np.sum(u * u, axis=1)[:, None] - along**2, 0.0)) * abs(instrument.tan_beta)
+        found = np.divide(np.abs(along), across, out=np.full(along.shape, np.inf), where=across > 0.0)
+        found[1:][along[1:] * along[:-1] < 0.0] = 0.0
+        return found
+
+    margins = np.array([ratios(skew, clocks).min(axis=0) for skew in skews.tolist()])
+    at, towards = np.unravel_index(np.argmax(margins), margins.shape)
+    skew, clock = float(skews[at]), clocks[[towards]]
+    histories = ratios(skew, clock)[:, 0], ratios(0.0, clock)[:, 0]
+    return Mounting(skews, margins, table.margin, skew, float(clock[0]), t, *histories)
 
 
 def _standard(request: PlanRequest, usable: tuple[Candidate, ...]) -> tuple[Prediction, ...]:
@@ -194,6 +277,16 @@ def plan_document(plan: Plan) -> dict[str, Any]:
         document["cheapest"] = {
             "wanted": plan.request.wanted,
             **(refused if plan.cheapest.refusal else told),
+        }
+    if plan.mounting is not None:
+        document["mounting"] = {
+            "skew_deg": math.degrees(plan.mounting.skew),
+            "clock_deg": math.degrees(plan.mounting.clock),
+            "margin": finite(plan.mounting.margin),
+            "margin_wanted": plan.mounting.limit,
+            "acceptable_skews_deg": [
+                round(math.degrees(skew), 9) for skew in plan.mounting.acceptable.tolist()
+            ],
         }
     return document
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from piga._version import __version__
 from piga.planning.candidates import Candidate, Prediction
-from piga.planning.plan import Plan
+from piga.planning.plan import Mounting, Plan
 from piga.records.terms import shown_unit, term_words, unit_of
 from piga.reports.render.figure import Axis, Figure, Plot
 from piga.reports.render.numbers import count, pretty_unit, short, signed, significant
@@ -53,6 +53,24 @@ def _dwell_figure(plan: Plan) -> Figure:
     )
 
 
+def _mounting_figure(mounting: Mounting) -> Figure:
+    degrees, shown = np.degrees(mounting.skews), partial(np.clip, a_min=1e-2, a_max=SHOWN)
+    plot = Plot("plan-mounting", "Skew of the instrument on the platform")
+    plot.panel("skew of the instrument [deg]", "log least |a_x| over a_t tan(beta)", "Margin against skew")
+    plot.line(degrees, shown(mounting.margins.max(axis=1)), "best direction", "after")
+    plot.line(degrees, shown(mounting.margins.min(axis=1)), "worst direction", "before")
+    plot.level(degrees, mounting.limit, "wanted margin", "warning")
+    plot.panel("time [s]", "log |a_x| over a_t tan(beta)", "Along the profile")
+    plot.line(mounting.t, shown(mounting.unskewed_history), "not skewed", "before")
+    plot.line(
+        mounting.t, shown(mounting.margin_history), f"skew {math.degrees(mounting.skew):.3g} deg", "after"
+    )
+    plot.level(mounting.t, mounting.limit, "wanted margin", "warning")
+    return plot.caption(
+        "The instrument measures where the margin is above 1. Values beyond 0.01 and 10 000 are drawn there."
+    )
+
+
 _CRITERIA = {
     "D": "the volume of the uncertainty ellipsoid",
     "A": "the mean variance of the coefficients, each over its wanted or equal-time variance",
@@ -75,6 +93,9 @@ def page(plan: Plan) -> Page:
             rows = ((one.label, reason) for one, reason in plan.excluded)
             left_out = named_values("candidate", "reason", rows, "Candidates left out.")
         shown.append(Section("Lock zone", "lock-zone", (left_out,)))
+    if plan.mounting is not None:
+        blocks = (_mounting_notice(plan.mounting), partial(_mounting_figure, plan.mounting))
+        shown.append(Section("Mounting", "mounting", blocks))
     return Page(
         title=f"Planned test of {plan.request.table.instrument.serial}",
         subtitle=f"{len(plan.best.visits)} visits in {short(plan.best.duration)} s, moves of {short(plan.request.move)} s.",
@@ -151,6 +172,16 @@ def _cheapest(plan: Plan, cheapest: Prediction) -> Notice:
         return Notice("problem", f"Wanted {wanted}: {cheapest.refusal}.")
     visits = ", ".join(f"{v.candidate.label} {short(v.dwell)} s" for v in cheapest.visits)
     return Notice("good", f"Wanted {wanted}: {short(cheapest.duration)} s are enough ({visits}).")
+
+
+def _mounting_notice(mounting: Mounting) -> Notice:
+    kept = mounting.acceptable.size
+    enough = f"{kept} of {mounting.skews.size} skews keep" if kept else "no skew keeps"
+    text = (
+        f"Best skew {math.degrees(mounting.skew):.4g} deg towards {math.degrees(mounting.clock):.4g} deg about X: "
+        f"least |a_x| is {short(mounting.margin)} of a_t tan(beta); {enough} it at the wanted {mounting.limit:g} or more."
+    )
+    return Notice("good" if kept else "problem", text)
 
 
 def brief(plan: Plan) -> Page:

@@ -158,9 +158,7 @@ def angles_of_range(text: str, what: str, example: str) -> tuple[float, ...]:
     first, last, step = (to_si(f"{part} {unit}", "rad", what=what) for part in parts)
     count = round((last - first) / step) if step != 0.0 else 0
     if count < 1:
-        raise ArgumentError(
-            "positions: the range is empty", remedy="write start:stop:step, e.g. '0:360:15 deg'"
-        )
+        raise ArgumentError(f"{what}: the range is empty", remedy=f"write start:stop:step, e.g. '{example}'")
     return tuple(first + step * k for k in range(count))
 
 
