@@ -16,7 +16,7 @@ from typing import Any
 
 from tests.json_documents import FOLDER
 
-COEFFICIENTS = ("share", "shift", "contributions", "sensitivities", "effects", "effects.*")
+COEFFICIENTS = ("share", "shift", "contributions", "effects", "effects.*")
 MAPS = {
     "calibrate": ("input_sha256", "leverage", "options", *COEFFICIENTS),
     "calibrate-set": ("terms", "input_sha256"),

@@ -119,7 +119,7 @@ def test_the_limit_holds_for_a_file_that_grows(tmp_path: Path) -> None:
     with pytest.raises(piga.DataError, match="larger than 9 bytes"):
         read_whole(path, 9, "a smaller one")
     path.write_bytes(b"0.0,1.0\n" * 200_000)
-    with pytest.raises(piga.RunFileError, match="is not a run file"):
+    with pytest.raises(piga.RunFileError, match="larger than 1048576 bytes"):
         read_run_file(path)
     with pytest.raises(piga.DataError, match="is not a file name"):
         read_whole(Path("a\0b"), 9, "a smaller one")

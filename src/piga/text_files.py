@@ -119,13 +119,8 @@ def check_unpacked(path: Path, unpacked: int) -> None:
 
 def toml_bytes(path: Path) -> bytes:
     """The bytes of a TOML file."""
-    with open_regular(path, "the TOML file, not the data file", RunFileError) as stream:
-        data = stream.read(_MOST_TOML_BYTES + 1)
-    if len(data) > _MOST_TOML_BYTES:
-        words = f"{path}: is not a run file or another TOML file: these have a few kilobytes"
-        remedy = "give a TOML file; for the log of a test 'piga init' drafts the run file"
-        raise RunFileError(words, remedy=remedy, where=Where(path))
-    return data
+    wanted = "the TOML file, not the data file; for the log of a test 'piga init' drafts it"
+    return read_whole(path, _MOST_TOML_BYTES, wanted, RunFileError)
 
 
 def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
@@ -140,15 +135,12 @@ def toml_document(path: Path, raw: bytes | None = None) -> dict[str, Any]:
             remedy = "give a TOML file; for the log of a test 'piga init' drafts the run file"
         raise RunFileError(f"{path}: {fault}", remedy=remedy) from None
     _check_values(path, document, "")
-    model, run = document.get("model"), document.get("run")
+    model = document.get("model")
     if isinstance(model, dict) and "phase" in model:  # the name of phases until 0.1
         model.setdefault("phases", model.pop("phase"))
     estimation = document.get("estimation")
     if isinstance(estimation, dict) and estimation.get("method") == "recursive":  # a former name
         estimation["method"] = "information"
-    if isinstance(run, dict) and "earth_tide" in run:
-        remedy = "leave it out; state the tide as an uncertainty: [uncertainty] gravity = '0.07 ug'"
-        raise RunFileError(f"{path}: [run] earth_tide is not simulated any more", remedy=remedy)
     return document
 
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 from piga.errors import UnitError
@@ -206,18 +206,7 @@ def numbers_are_si(old: bool) -> Iterator[None]:
 
 
 def si_or_text(value: str | float, like: str, *, what: str = "quantity") -> float:
-    """SI value of an argument in Python, as :func:`to_si`; but a plain number is SI.
-
-    Parameters
-    ----------
-    value, like, what:
-        As in :func:`to_si`.
-
-    Raises
-    ------
-    UnitError
-        As :func:`to_si`.
-    """
+    """SI value of an argument in Python, as :func:`to_si`; but a plain number is SI."""
     with numbers_are_si(True):
         return to_si(value, like, what=what)
 
@@ -300,30 +289,6 @@ def written_quantity(text: str) -> tuple[str, str]:
 def from_si(value: float, unit: str) -> float:
     """Number of ``unit`` in an SI value (``degC`` with its offset)."""
     return (value - offset_to_si(unit)) / parse_unit(unit).factor
-
-
-@dataclass(frozen=True)
-class UnitFactor:
-    """A factor between units that are often confused: its value, and the (larger, smaller) units by the key of ``[data]``."""
-
-    value: float
-    mixed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-
-
-UNIT_FACTORS = (
-    UnitFactor(9.80665, {"reference": ("g", "m/s^2")}),
-    UnitFactor(1e3, {"reference": ("g", "mg"), "output": ("rad", "mrad"), "time": ("s", "ms")}),
-    UnitFactor(1e6, {"reference": ("g", "ug"), "output": ("rad", "urad"), "time": ("s", "us")}),
-    UnitFactor(9806.65),
-    UnitFactor(180.0 / math.pi, {"output": ("rad", "deg")}),
-    UnitFactor(3600.0, {"output": ("deg", "arcsec"), "time": ("h", "s")}),
-    UnitFactor(648000.0 / math.pi, {"output": ("rad", "arcsec")}),
-    UnitFactor(2.0 * math.pi, {"output": ("rev", "rad")}),
-    UnitFactor(360.0, {"output": ("rev", "deg")}),
-    UnitFactor(4.0),
-    UnitFactor(10.0),
-)
-"""Factors between units that are often confused, the four edges of a quadrature encoder, and a slip of the decimal point."""
 
 
 def wrapped(text: str, width: int, first: str = "", later: str = "") -> list[str]:

@@ -121,9 +121,9 @@ def test_a_time_of_durations_or_times_of_day_is_in_seconds(run, kind, per_second
         ({"kind": "angles"}, "'angles' is not one of the allowed"),
         ({"time": None}, "needs either time or sample_rate"),
         ({"units": UNITS | {"Psi": "deg"}}, r"there is no column 'Psi'\n  remedy: the columns are: ms, psi"),
-        ({"reference": "fx"}, "reference: 'fx' is not three names"),
-        ({"reference": ["fx", "fy"]}, "is not three names of columns"),
-        ({"time": 0}, "time: 0 is not the name of a column"),
+        ({"reference": "fx"}, r"reference.columns\]: expected a list"),
+        ({"reference": ["fx", "fy"]}, "of length 3, got 2"),
+        ({"time": 0}, "expected text, got a whole number"),
     ],
 )
 def test_a_wrong_description_is_refused(run, changes, said):

@@ -28,7 +28,6 @@ from piga.records.calibration.diagnostics import scale_over_nominal
 from piga.records.run import Run
 from piga.records.terms import SERVO_TERMS
 from piga.results import Array
-from piga.units import UNIT_FACTORS, UnitFactor
 
 _FAR_BETTER = 3.0
 """Ratio of residuals above which another reading is advised."""
@@ -100,26 +99,38 @@ class _Reading:
 
 _OF_COUNTS = (4.0, 10.0)
 """Factors by which counts per revolution are wrong: edges of a quadrature encoder, a slip of the decimal point."""
+_MIXED: dict[float, dict[str, tuple[str, str]]] = {
+    9.80665: {"reference": ("g", "m/s^2")},
+    1e3: {"reference": ("g", "mg"), "output": ("rad", "mrad"), "time": ("s", "ms")},
+    1e6: {"reference": ("g", "ug"), "output": ("rad", "urad"), "time": ("s", "us")},
+    9806.65: {},
+    180.0 / math.pi: {"output": ("rad", "deg")},
+    3600.0: {"output": ("deg", "arcsec"), "time": ("h", "s")},
+    648000.0 / math.pi: {"output": ("rad", "arcsec")},
+    2.0 * math.pi: {"output": ("rev", "rad")},
+    360.0: {"output": ("rev", "deg")},
+} | {factor: {} for factor in _OF_COUNTS}
+"""Factors between units that are often confused, and these (larger, smaller) by the key of ``[data]``."""
 
 
-def _factor_near(ratio: float, *, counted: bool = False) -> UnitFactor | None:
+def _factor_near(ratio: float, *, counted: bool = False) -> float | None:
     """The factor close to a ratio or to its inverse; None if no factor is close. Ten is one of counts alone."""
     ratio = max(ratio, 1.0 / ratio)
-    factors = [factor for factor in UNIT_FACTORS if counted or factor.value != 10.0]
-    near = min(factors, key=lambda factor: abs(ratio / factor.value - 1.0))
-    return near if abs(ratio / near.value - 1.0) < _SNAP else None
+    factors = [factor for factor in _MIXED if counted or factor != 10.0]
+    near = min(factors, key=lambda factor: abs(ratio / factor - 1.0))
+    return near if abs(ratio / near - 1.0) < _SNAP else None
 
 
-def _unit_words(ratio: float, factor: UnitFactor, run: Run, *, output: bool) -> str:
+def _unit_words(ratio: float, factor: float, run: Run, *, output: bool) -> str:
     """Advice for a scale factor of ``ratio`` times the nominal one; ``output``: the output's unit may be wrong."""
-    larger, size = ratio > 1.0, f"{factor.value:.6g}"
-    mixed = [(key, factor.mixed[key]) for key in ("reference", "time") if key in factor.mixed]
+    larger, size, units_of = ratio > 1.0, f"{factor:.6g}", _MIXED[factor]
+    mixed = [(key, units_of[key]) for key in ("reference", "time") if key in units_of]
     times = f"{'multiplied' if larger else 'divided'} by {size}"
     places = [f"f (wanted in m/s^2), t (wanted in s), output (wanted in {run.output_unit})"]
     if run.source:
         places = [_change(key, units, larger=larger, rate=False) for key, units in mixed]
-        if output and ("output" in factor.mixed or factor.value in _OF_COUNTS):
-            places.append(_output_unit(run, factor.value, larger=not larger))
+        if output and ("output" in units_of or factor in _OF_COUNTS):
+            places.append(_output_unit(run, factor, larger=not larger))
     places.append(f"{'[instrument] ' if run.source else ''}scale_factor {times}")
     return (
         f"the scale factor comes out {ratio:.4g} times the nominal one, near the factor {size} of "
@@ -132,9 +143,9 @@ def _output_unit(run: Run, value: float, *, larger: bool) -> str:
     if run.resolution > 0.0:
         return f"[instrument] counts_per_revolution {'divided' if larger else 'multiplied'} by {value:.6g}"
     factor = _factor_near(value)
-    if factor is None or "output" not in factor.mixed:
+    if factor is None or "output" not in _MIXED[factor]:
         return f"[data] output a unit {value:.6g} times {'larger' if larger else 'smaller'}"
-    return _change("output", factor.mixed["output"], larger=larger, rate=run.kind == "rate")
+    return _change("output", _MIXED[factor]["output"], larger=larger, rate=run.kind == "rate")
 
 
 def _change(key: str, units: tuple[str, str], *, larger: bool, rate: bool) -> str:
@@ -218,8 +229,8 @@ def _readings(run: Run, request: Request) -> Iterator[_Reading]:
                 reading = replace(reading, signs=(-1, second, third), scale=-reading.scale)
             yield reading
     yield fitted(_Reading(output=-1.0))
-    for factor in () if run.direct else UNIT_FACTORS:  # K alone takes up a factor where nothing turns
-        for known in (factor.value, 1.0 / factor.value):
+    for factor in () if run.direct else _MIXED:  # K alone takes up a factor where nothing turns
+        for known in (factor, 1.0 / factor):
             if abs(abs(plain.scale) / known - 1.0) < _SNAP:
                 yield fitted(_Reading(output=known))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -59,7 +59,6 @@ from piga.records.calibration.diagnostics import (
     MissingTerm,
     Quality,
     Residuals,
-    SegmentScatter,
     SegmentSummary,
     scale_over_nominal,
 )
@@ -167,13 +166,13 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
 
 def _part_of(
     fit: JointFit, index: int, kind: str
-) -> tuple[RunRecord, tuple[SegmentSummary, ...], Residuals | None, SegmentScatter]:
+) -> tuple[RunRecord, tuple[SegmentSummary, ...], Residuals | None, Diagnostics]:
     """What the result says of a run: its record and segments; with raw data its residuals under the estimate, too.
 
     Residual rates become angles if runs of both kinds are joined (``kind`` is that of all residuals).
     """
     summary, live = fit.summaries[index], fit.live[index]
-    segments, figures, residuals, scatter = summary.segments, summary.figures, None, SegmentScatter()
+    segments, figures, residuals, scatter = summary.segments, summary.figures, None, Diagnostics()
     if live:
         design, values = fit.design_of(index, live)
         residuals = find_residuals(design, values, live.noise)
@@ -215,9 +214,9 @@ def _result(
         return float(np.sqrt(np.average(np.square([getattr(r, name) for r in records]), weights=rows)))
 
     runs = [live.run for live in fit.live if live]
-    scatter = max(scatters, key=lambda one: one.worst)
+    scatter = max(scatters, key=lambda one: one.worst_scatter)
     angle: Literal["angle", "count"] = "count" if first.unit != GYRO else "angle"
-    tests = Diagnostics(residual_kind="rate" if kind == "rate" else angle, range=fit.ranges, **asdict(scatter))
+    tests = replace(scatter, residual_kind="rate" if kind == "rate" else angle, range=fit.ranges)
     innovations = [own.innovation for own in residuals if own]
     if innovations:
         rounded = any(is_rounded(live.run, live.noise) for live in fit.live if live)

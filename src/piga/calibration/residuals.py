@@ -18,7 +18,6 @@ from piga.records.calibration.diagnostics import (
     COUNTED,
     Diagnostics,
     Residuals,
-    SegmentScatter,
     SegmentSummary,
 )
 from piga.records.run import Run
@@ -152,7 +151,7 @@ def residual_figures(residuals: Residuals) -> dict[str, float]:
     }
 
 
-def segment_scatter(positions: Sequence[Repetition], values: Array, noise: Noise, run: Run) -> SegmentScatter:
+def segment_scatter(positions: Sequence[Repetition], values: Array, noise: Noise, run: Run) -> Diagnostics:
     """Scatter of the mean rates of the positions, over the scatter that the noise explains.
 
     ``values`` (positions, m) are the column coefficients. The ratio is the root mean square of a residual rate over the
@@ -160,20 +159,20 @@ def segment_scatter(positions: Sequence[Repetition], values: Array, noise: Noise
     output turns by m counts beside whole ones in each reading, m readings share their rounding.
     """
     if len(positions) < _FEWEST_SEGMENTS or positions[0].block:
-        return SegmentScatter()
+        return Diagnostics()
     m = values.shape[1]
     rows = np.array([p.part.factor for p in positions])
     along, missed = rows[:, :, m], rows[:, :, -1] - np.einsum("jkm,jm->jk", rows[:, :, :m], values)
     known, count = (along**2).sum(axis=1), count_of(run)
     if not known.all():
-        return SegmentScatter()
+        return Diagnostics()
     rate, variance = (along * missed).sum(axis=1) / known, 1.0 / known + [p.variance for p in positions]
     if count > 0.0:
         edges, duration = run.segment_edges(), np.array([p.end - p.begin for p in positions])
         turned, rows = run.output[edges[1:] - 1] - run.output[edges[:-1]], np.diff(edges)
         beside = np.abs(turned / count - rows * np.round(turned / count / rows))
         variance += min(12.0 * noise.white, count**2) / np.maximum(1.0, beside) / duration**2
-    return SegmentScatter(
+    return Diagnostics(
         root_mean_square(rate / np.sqrt(variance)),
         root_mean_square(rate) / run.scale_factor / G0,
         root_mean_square(rate / np.sqrt(variance - noise.scatter)) if noise.scatter > 0.0 else None,

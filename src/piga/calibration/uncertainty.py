@@ -114,23 +114,18 @@ def budget_row(
     change: Array,
     degrees: float | None = None,
 ) -> BudgetEntry:
-    """A row of the budget; contributions in file units, and sensitivities where a source has a size.
+    """A row of the budget; contributions in file units.
 
-    A contribution is the change of a coefficient by one standard uncertainty ``value`` of the source. A sensitivity
-    is the change by one ``unit`` of it (JCGM 100, 5.1.3). Degrees of freedom None: known exactly, or one number
-    per coefficient (Type A).
+    A contribution is the change of a coefficient by one standard uncertainty ``value`` of the source. Degrees of freedom
+    None: known exactly, or one number per coefficient (Type A).
     """
-    parts = [(c, float(part)) for c, part in zip(coefficients, change, strict=True)]
-    below = f"({unit})" if "/" in unit or "*" in unit else unit
-    per = "" if unit in ("", "1") else f"/{below}"
     return BudgetEntry(
         source=source,
         type=kind,
         distribution=distribution,
         standard_uncertainty=None if value is None else Amount(value, unit),
         degrees_of_freedom=degrees,
-        contributions={c.key: part for c, part in parts},
-        sensitivities={c.key: Amount(part / value, c.unit + per) for c, part in parts} if value else {},
+        contributions={c.key: float(part) for c, part in zip(coefficients, change, strict=True)},
     )
 
 
@@ -165,8 +160,7 @@ def with_given_servo(
     for row, change in zip(result.budget, changes, strict=True):
         size = row.standard_uncertainty or Amount(0.0, "")
         more = budget_row(row.source, row.type, row.distribution, size.value, size.unit, given, change)
-        both = row.contributions | more.contributions, row.sensitivities | more.sensitivities
-        rows.append(replace(row, contributions=both[0], sensitivities=both[1]))
+        rows.append(replace(row, contributions=row.contributions | more.contributions))
     return replace(
         result,
         terms=(*result.terms, *names),

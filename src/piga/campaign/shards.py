@@ -241,7 +241,7 @@ def of_calibration(calibration: Calibration, truth: Array) -> Outcome:
 
 def _seen(calibration: Calibration) -> tuple[str, ...]:
     """What a calibration reports of noise and of missing terms."""
-    scatters = calibration.diagnostics.worst > SCATTER
+    scatters = calibration.diagnostics.worst_scatter > SCATTER
     noise = {
         "random walk": calibration.angle_random_walk > 0.0,
         "scatter of the segments": calibration.segment_scatter > 0.0,

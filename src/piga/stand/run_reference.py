@@ -314,10 +314,7 @@ def run_from_table(
 
 
 def _add_units(data: dict[str, Any], output: str, units: dict[str, str], stated: Sequence[str]) -> None:
-    """Give the columns of a ``[data]`` table their units. Those of the columns ``stated`` must be in ``units``; others are SI.
-
-    Refuses names that are not text, and a reference or base rate that is not three columns.
-    """
+    """Give the columns of a ``[data]`` table their units. Those of the columns ``stated`` must be in ``units``; others are SI."""
     kind = data["output"]["kind"]
     likes = {"output": "rad/s" if kind == "rate" else "rad", "time": "s", "temperature": "K", "segment": ""}
     likes |= {"reference": "m/s^2", "base_rate": "rad/s"}
@@ -327,11 +324,6 @@ def _add_units(data: dict[str, Any], output: str, units: dict[str, str], stated:
             continue
         names = entry["columns" if three else "column"] if isinstance(entry, dict) else entry
         listed = list(names) if three and not isinstance(names, str) else [names]
-        if len(listed) != (3 if three else 1) or not all(isinstance(name, str) for name in listed):
-            raise ArgumentError(
-                f"{role}: {names!r} is not {'three names of columns' if three else 'the name of a column'}",
-                remedy="those along X0, Y0 and Z0, in order" if three else "names are text",
-            )
         if role == "segment" or (role == "output" and kind == "counts"):
             continue
         if role == "output" and output != GYRO:

@@ -22,7 +22,7 @@ from piga.calibration.model.solution import (
 )
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Coefficient, short_way
-from piga.records.calibration.diagnostics import SCATTER, SegmentScatter
+from piga.records.calibration.diagnostics import SCATTER, Diagnostics
 from piga.records.run import Run
 from piga.records.terms import harmonic, unit_of
 from piga.results import Array
@@ -305,13 +305,13 @@ def _full_scale(coefficient: Coefficient, largest: float, duration: float, sprea
     return largest ** {"g/g^2": 1, "g/g^3": 2}.get(unit_of(name), 0)
 
 
-def scatter_in_words(scatter: SegmentScatter, *, direct: bool = False) -> tuple[str, ...]:
+def scatter_in_words(scatter: Diagnostics, *, direct: bool = False) -> tuple[str, ...]:
     """Doubt about mean rates that scatter more than the noise explains. ``direct``: the instrument has no gimbal."""
-    if scatter.worst <= SCATTER:
+    if scatter.worst_scatter <= SCATTER:
         return ()
     force, own = 1e6 * (scatter.segment_scatter_g or 0.0), "instrument" if direct else "servo"
     words = (
-        f"the mean rates of the segments scatter {scatter.worst:.1f} times more than the noise of the "
+        f"the mean rates of the segments scatter {scatter.worst_scatter:.1f} times more than the noise of the "
         f"{'output' if direct else 'angle'} explains ({force:.2g} ug rms): the standard uncertainties include this "
         f"scatter, but an effect of the stand or of the {own} that is the same at every visit of a "
         "position does not average out"

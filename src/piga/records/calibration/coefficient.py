@@ -204,8 +204,8 @@ class BudgetEntry(Result):
     """One source of the uncertainty budget. ``standard_uncertainty`` is its size; None if it has no size of its own.
 
     ``degrees_of_freedom`` are None if the size is known exactly, or if each coefficient has its own (Type A). ``contributions``
-    are changes of each coefficient, by key and in its unit, for one standard uncertainty of the source; ``sensitivities``
-    for one unit of it (JCGM 100, 5.1.3), empty if it has no size.
+    are changes of each coefficient, by key and in its unit, for one standard uncertainty of the source. Divided by its size
+    they are the sensitivities (JCGM 100, 5.1.3).
     """
 
     source: str
@@ -214,7 +214,6 @@ class BudgetEntry(Result):
     standard_uncertainty: Amount | None = None
     degrees_of_freedom: Level | None = None
     contributions: dict[str, Number]
-    sensitivities: dict[str, Amount] = field(default_factory=dict)
 
     def contribution(self, coefficient: Coefficient) -> float:
         """Change of a coefficient; 0 if the source does not act on it."""
@@ -222,11 +221,7 @@ class BudgetEntry(Result):
 
     def renamed(self, names: dict[str, str]) -> BudgetEntry:
         """The entry for some of the coefficients, renamed. The argument gives the new key by old key."""
-        return replace(
-            self,
-            contributions={names[k]: v for k, v in self.contributions.items() if k in names},
-            sensitivities={names[k]: v for k, v in self.sensitivities.items() if k in names},
-        )
+        return replace(self, contributions={names[k]: v for k, v in self.contributions.items() if k in names})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

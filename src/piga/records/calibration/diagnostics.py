@@ -224,28 +224,12 @@ class Creep(Result):
         return max(map(abs, self.shift.values()), default=0.0)
 
 
-@dataclass(frozen=True)
-class SegmentScatter:
-    """Scatter of the mean rates of the segments, root mean square [g]; None if there are too few segments.
-
-    ``segment_scatter_ratio`` is the scatter divided by what all noise explains; ``..._without_it``: by what the noise of the
-    angle explains, if a slow noise is in the model.
-    """
-
-    segment_scatter_ratio: Level | None = None
-    segment_scatter_g: Level | None = None
-    segment_scatter_ratio_without_it: Level | None = None
-
-    @property
-    def worst(self) -> float:
-        """The larger ratio; 0 if there is none. It is a doubt above :data:`SCATTER`."""
-        return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
-
-
-@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Diagnostics(Result, SegmentScatter):
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnostics(Result):
     """Diagnostics of model and data. An entry without a result is None or empty.
 
+    ``segment_scatter_g`` is the scatter of the mean rates of the segments, root mean square [g]. ``segment_scatter_ratio`` is it
+    divided by what all noise explains; ``..._without_it``: by what the angle's noise explains, if a slow noise is in the model.
     ``residual_kind`` is angle or rate; count of a direct instrument. ``range`` is that in which the calibration holds: ``a_x``,
     ``a_t`` [m/s^2], ``temperature`` [K]. ``samples`` to ``verdict`` are tests of the whitened residual; the verdict is "white",
     or says that it is not, or not tested. ``leverage`` is that of each segment, by label. ``advice`` are other interpretations
@@ -253,6 +237,9 @@ class Diagnostics(Result, SegmentScatter):
     after a move, seen or not. ``model_comparison`` is that of :meth:`piga.calibration.ModelComparison.document`.
     """
 
+    segment_scatter_ratio: Level | None = None
+    segment_scatter_g: Level | None = None
+    segment_scatter_ratio_without_it: Level | None = None
     residual_kind: Literal["angle", "rate", "count"] = "angle"
     range: dict[str, tuple[Number, Number]] = field(default_factory=dict)
     samples: Count | None = None
@@ -270,6 +257,11 @@ class Diagnostics(Result, SegmentScatter):
     creep: Creep | None = None
     monte_carlo: MonteCarlo | None = None
     model_comparison: dict[str, Any] | None = None
+
+    @property
+    def worst_scatter(self) -> float:
+        """The larger ratio of the scatter; 0 if there is none. It is a doubt above :data:`SCATTER`."""
+        return max(self.segment_scatter_ratio or 0.0, self.segment_scatter_ratio_without_it or 0.0)
 
 
 # -- verdict -------------------------------------------------------------------------------------------

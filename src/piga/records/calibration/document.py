@@ -106,9 +106,6 @@ def to_document(calibration: Calibration) -> dict[str, Any]:
         if field == "remarks":
             document["verdict"] = c.verdict.document()
     plain: dict[str, Any] = msgspec.to_builtins(document, enc_hook=float)
-    for row in plain["uncertainty_budget"]:
-        if not row["sensitivities"]:
-            del row["sensitivities"]
     for segment in plain["segments"] if c.direct else ():
         segment.pop("turns", None)
     for run in plain.get("runs", ()):
@@ -224,7 +221,7 @@ def _faults(c: Calibration, covariance: _Covariance) -> Iterator[str]:
     if not c.terms or sorted(c.terms) != sorted(estimated):
         yield f"the terms ({', '.join(c.terms)[:80]}) are not those of the coefficients"
     for row in c.budget:
-        for key in {**row.contributions, **row.sensitivities}:
+        for key in row.contributions:
             if not check_name(key.partition("[")[0]):
                 yield f"uncertainty_budget: '{row.source[:60]}' acts on '{key[:60]}', which is not a coefficient"
     try:

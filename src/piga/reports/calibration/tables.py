@@ -415,8 +415,8 @@ def sensitivity_tables(cal: Calibration) -> tuple[Table, ...]:
     """Change of each coefficient for one unit of a source; at the end the sources of the stand that nobody stated."""
     rows: list[tuple[str | Cell, str, float, dict[str, float]]] = []
     for row in cal.budget:
-        if row.sensitivities and (u := row.standard_uncertainty):
-            effects = {key: one.value for key, one in row.sensitivities.items()}
+        if (u := row.standard_uncertainty) and u.value:
+            effects = {key: change / u.value for key, change in row.contributions.items()}
             rows.append((row.source, f"1 {pretty_unit(u.unit)}".strip(), u.value, effects))
     for source in unstated(cal):
         per = f"1 {pretty_unit(source.unit)}" if source.effects else source.reason
