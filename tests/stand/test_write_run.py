@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tomllib
 from pathlib import Path
@@ -19,7 +18,6 @@ from piga.stand import (
 from piga.stand.write_run import (
     run_file_text,
     truth_document,
-    truth_text,
     write_data,
 )
 from tests.stand.simulated import SCENARIO, saved, truth_of, written
@@ -50,7 +48,7 @@ def test_run_file_truth_and_data_belong_together(tmp_path):
     assert run.size == test.log.t.size
     assert run.labels == test.log.labels
     assert np.abs(run.f - test.log.reference).max() < 1e-14
-    document = json.loads(truth_text(scenario, test))
+    document = truth_document(scenario, test)
     assert document["schema"] == "piga.truth/1"
     names = {c["name"]: c for c in document["coefficients"]}
     assert names["tan_beta"]["value"] == pytest.approx(math.tan(74 * math.pi / 648000))

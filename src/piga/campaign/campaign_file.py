@@ -167,29 +167,25 @@ class CampaignPlan:
     def scenario(self, record: RecordName) -> Scenario | PlatformScenario:
         """The scenario of a record, ready to run."""
         path, document = self.path.parent / record.group.scenario, self.document(record)
-        if record.group.subject == "stand":
-            return _stand(path, document)
-        from piga.platform.scenario import scenario_of_document
+        if record.group.subject == "platform":
+            from piga.platform.scenario import scenario_of_document
 
-        return scenario_of_document(path, document)
+            return scenario_of_document(path, document)
+        table = convert_toml(path, document, ScenarioTable)
+        kinds = {"model": ModelTable, "estimation": EstimationTable, "uncertainty": UncertaintyTable}
+        for part, kind in kinds.items():
+            convert_table(part, getattr(table, part), kind)
+        if table.truth.get("k1"):
+            raise ArgumentError(
+                "[truth] k1: a calibration cannot separate it from the scale factor",
+                remedy="leave it out, or change scale_factor",
+            )
+        return scenario_of(path, table)
 
     def seed_of(self, record: RecordName) -> int:
         """Seed of a record, as ``piga simulate --seed`` takes it: the same on every machine, in every order."""
         sequence = np.random.SeedSequence(self.file.campaign.seed, spawn_key=(record.case, record.repeat))
         return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
-
-
-def _stand(path: Path, document: dict[str, Any]) -> Scenario:
-    table = convert_toml(path, document, ScenarioTable)
-    kinds = {"model": ModelTable, "estimation": EstimationTable, "uncertainty": UncertaintyTable}
-    for part, kind in kinds.items():
-        convert_table(part, getattr(table, part), kind)
-    if table.truth.get("k1"):
-        raise ArgumentError(
-            "[truth] k1: a calibration cannot separate it from the scale factor",
-            remedy="leave it out, or change scale_factor",
-        )
-    return scenario_of(path, table)
 
 
 def _replace_value(document: dict[str, Any], key: str, value: Any) -> None:
@@ -249,7 +245,18 @@ def read_campaign(path: str | Path) -> CampaignPlan:
     names = (file.scenario, *(case.scenario for case in file.case))
     texts |= {name: toml_bytes(path.parent / name) for name in names if name}
     plan = plan_of(path, texts)
-    _check(plan)
+    done: set[tuple[str, str, str]] = set()
+    for group in (
+        plan.groups
+    ):  # the first record of each case with each value of the grid once: wrong keys are refused now
+        settings = {(group.name, key, repr(value)) for key, value in (group.set or {"": ""}).items()}
+        if settings <= done:
+            continue
+        done |= settings
+        try:
+            plan.scenario(plan.record(group.start))
+        except PigaError as error:
+            raise RunFileError(f"{path}: {group.label}: {error.message}", remedy=error.remedy) from None
     return plan
 
 
@@ -300,17 +307,3 @@ def _subject(path: Path, document: Mapping[str, Any]) -> Subject:
         f"{path}: is not a scenario of 'piga simulate' or 'piga platform'",
         remedy="name a scenario file; 'piga records reproduce' calibrates stored runs again",
     )
-
-
-def _check(plan: CampaignPlan) -> None:
-    """Build the first record of each case with each value of the grid once. Wrong keys are then refused now."""
-    done: set[tuple[str, str, str]] = set()
-    for group in plan.groups:
-        settings = {(group.name, key, repr(value)) for key, value in (group.set or {"": ""}).items()}
-        if settings <= done:
-            continue
-        done |= settings
-        try:
-            plan.scenario(plan.record(group.start))
-        except PigaError as error:
-            raise RunFileError(f"{plan.path}: {group.label}: {error.message}", remedy=error.remedy) from None

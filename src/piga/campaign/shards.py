@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 
     from piga.platform.scenario import PlatformScenario
     from piga.records import Calibration
-    from piga.stand.simulate import SimulatedTest
 
 MANIFEST, _PARTS = "manifest.json", "parts"
 _PART = re.compile(r"part-(\d{5,})-[0-9a-f]{32}\.parquet")
@@ -256,7 +255,7 @@ def _simulated(scenario: Scenario, seed: int) -> Outcome:
     """Simulate, write the files of a lab, read them and calibrate, as a user does."""
     from piga.calibration.calibrate import calibrate
     from piga.stand import read_run
-    from piga.stand.write_run import run_file_text, write_data
+    from piga.stand.write_run import coefficients, run_file_text, write_data
 
     test = run_scenario(scenario, seed=seed)
     with tempfile.TemporaryDirectory(prefix="piga-campaign-") as folder:
@@ -264,19 +263,12 @@ def _simulated(scenario: Scenario, seed: int) -> Outcome:
         write_data(test, Path(folder, data))
         run.write_text(run_file_text(scenario, test, data), encoding="utf-8", newline="\n")
         calibration = calibrate(read_run(run))
-    return of_calibration(calibration, _truth(test, calibration))
-
-
-def _truth(test: SimulatedTest, calibration: Calibration) -> Array:
-    """True values by coefficient. A term that the simulation lacks has the truth 0."""
-    from piga.stand.write_run import coefficients
-
-    truth = {(value.name, value.segment): value.value for value in coefficients(test)}
-
-    def one(name: str, segment: str | None) -> float:
-        return truth.get((name, segment), truth.get((name, None), math.nan if name == "phi" else 0.0))
-
-    return np.array([one(c.name, c.segment) for c in calibration.coefficients])
+    known = {(value.name, value.segment): value.value for value in coefficients(test)}
+    truth = []
+    for c in calibration.coefficients:  # a term that the simulation lacks has the truth 0
+        shared = known.get((c.name, None), math.nan if c.name == "phi" else 0.0)
+        truth.append(known.get((c.name, c.segment), shared))
+    return of_calibration(calibration, np.array(truth))
 
 
 def _platform_run(scenario: PlatformScenario, seed: int) -> Outcome:
@@ -473,25 +465,20 @@ def _client(
     options["scheduler_kwargs"] = {"dashboard_address": "127.0.0.1:0"}  # any free port; nothing is shown there
     pages: dict[str, list[str]] = {f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker")}
     with dask.config.set({"distributed.scheduler.worker-saturation": 1.0, **pages}):
-        with _without_ctrl_c():
+        before = signal.getsignal(signal.SIGINT)
+        try:
+            with suppress(ValueError):  # in another thread than the main one
+                signal.signal(
+                    signal.SIGINT, signal.SIG_IGN
+                )  # for the workers: only this process answers Ctrl-C
             cluster = distributed.LocalCluster(
                 n_workers=workers or os.cpu_count() or 1, host="127.0.0.1", env=_ONE_THREAD, **options
             )
+        finally:
+            with suppress(ValueError):
+                signal.signal(signal.SIGINT, before)
         with cluster, distributed.Client(cluster, set_as_default=False) as client:
             yield client
-
-
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Processes started here never see Ctrl-C: a terminal sends it to all of them, and only this one is to answer."""
-    before = signal.getsignal(signal.SIGINT)
-    try:
-        with suppress(ValueError):  # in another thread than the main one
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-        yield
-    finally:
-        with suppress(ValueError):
-            signal.signal(signal.SIGINT, before)
 
 
 def _connected(distributed: Any, address: str) -> Any:

@@ -207,7 +207,13 @@ def compensate(
             )
         if page_to is not None and report is not None:
             solved.words["rate"] = f"written at {hertz:.6g} Hz, shown as recorded" if hertz else "as recorded"
-            _write_page(solved, page_to / report.name)
+            from piga.reports.compensation import CompensationOutline, compensation_page
+
+            with progress("writing the report"):
+                outline = CompensationOutline(*solved[:4])
+                files = list(dict.fromkeys(solved.inputs))
+                shown = compensation_page(outline, solved.names, files, solved.words)
+                piga.reports.write_page(shown, page_to / report.name)
         summary = summary_of(solved.result, solved.records, written, solved.inputs)
         document = {"file": str((to.folder or out.parent) / out.name)} | summary
         document["calibrations"] = [
@@ -280,15 +286,6 @@ class _Solved(NamedTuple):
     inputs: list[tuple[str, str]]
     names: list[str]
     words: dict[str, str]
-
-
-def _write_page(solved: _Solved, path: Path) -> None:
-    from piga.reports.compensation import CompensationOutline, compensation_page
-
-    with progress("writing the report"):
-        outline = CompensationOutline(solved.result, solved.records, solved.calibrations, solved.mounted)
-        files = list(dict.fromkeys(solved.inputs))
-        piga.reports.write_page(compensation_page(outline, solved.names, files, solved.words), path)
 
 
 def _single(

@@ -133,12 +133,16 @@ class Delivery:
         """The result as a JSON document and as text; only what is asked for is made."""
         self._document, self._text = document, text
 
+    def write_json(self, name: str, document: Any) -> None:
+        """Write a document as JSON."""
+        text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+        write_text(self / name, f"{text}\n")
+
     def show(self, document: Any, page: piga.reports.Page, brief: piga.reports.Page, *names: str) -> None:
         """Tell a result by its document and a brief page. In a folder: the document too, and a page, the last of ``names``."""
         if self.folder is not None:
             for name in names[:-1]:
-                text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-                write_text(self / name, f"{text}\n")
+                self.write_json(name, document)
             with progress("writing the report"):
                 piga.reports.write_page(page, self / names[-1])
         self.tell(lambda: document, lambda: piga.reports.page_text(brief))
@@ -210,32 +214,22 @@ def progress(title: str, total: int | None = None) -> Iterator[Show]:
         if outlet is not None:
             yield outlet(title, total)
         elif sys.stderr is not None and sys.stderr.isatty():
-            with _bar(title, total) as show:
-                yield show
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+            columns = ("{task.description}", BarColumn(None), TimeElapsedColumn(), TimeRemainingColumn())
+            with Progress(*columns, console=Console(stderr=True), transient=True, expand=True) as drawn:
+                task = drawn.add_task(title, total=total)
+                WHEN_COMPILED[:] = [lambda: drawn.update(task, description=f"{title}; {FIRST_USE}")]
+                yield lambda done, total, what: drawn.update(
+                    task, completed=done, total=total, description=f"{title}: {what}" if what else title
+                )
         else:
             WHEN_COMPILED[:] = [partial(note, f"{title}; {FIRST_USE}")]
             yield lambda *_: None
     except KeyboardInterrupt as stop:
         stop.add_note(f"{DOING}{title}")
         raise
-
-
-@contextmanager
-def _bar(title: str, total: int | None) -> Iterator[Show]:
-    """A line on stderr, drawn with rich, that shows what is done and how far it is. It disappears at the end."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
-
-    columns = ("{task.description}", BarColumn(None), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, expand=True) as drawn:
-        task = drawn.add_task(title, total=total)
-
-        def show(done: float, total: float | None, what: str) -> None:
-            said = f"{title}: {what}" if what else title
-            drawn.update(task, completed=done, total=total, description=said)
-
-        WHEN_COMPILED[:] = [lambda: drawn.update(task, description=f"{title}; {FIRST_USE}")]
-        yield show
 
 
 DOING = "while "

@@ -66,7 +66,7 @@ def simulate(
 ) -> None:
     """Simulate a test: a run to calibrate, and its truth."""
     from piga.reports.stand import page
-    from piga.stand.write_run import run_file_text, truth_document, truth_text, write_data
+    from piga.stand.write_run import run_file_text, truth_document, write_data
 
     read = piga.read_scenario(scenario)
     data = f"run.{read.table.run.format}"
@@ -77,9 +77,10 @@ def simulate(
         with progress("writing data and report"):
             write_data(test, to / data)
             write_text(to / "run.toml", run_file_text(read, test, data))
-            write_text(to / "truth.json", truth_text(read, test))
+            truth = truth_document(read, test)
+            to.write_json("truth.json", truth)
             piga.reports.write_page(page(test, read.table.instrument.serial), to / "report.html")
-        to.tell(lambda: truth_document(read, test), test.summary)
+        to.tell(lambda: truth, test.summary)
 
 
 def reproduce(

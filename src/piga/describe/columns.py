@@ -35,7 +35,8 @@ _AXIAL = ("force", "base-rate")
 _NAMES = tomllib.loads(files("piga.data").joinpath("names.toml").read_text("utf-8"))
 """Names in English, German, French and Chinese."""
 _WORDS: dict[Kind, list[str]] = _NAMES["columns"]
-_FACTS: dict[str, list[str]] = _NAMES["facts"]
+FACTS: dict[str, list[str]] = _NAMES["facts"]
+"""Keys of the run file, with the names of their values in preambles."""
 _SUFFIX_UNITS: dict[str, str] = _NAMES["units"]
 _SPEEDS: list[str] = _NAMES["speeds"]["rpm"]
 _BRACKET = re.compile(r"\s*[\[(（【][^\])）】]*[\])）】]?\s*$")
@@ -64,9 +65,14 @@ def kind_of_name(name: str) -> tuple[Kind, int | None]:
     """What a column of this name holds, and its axis (0, 1, 2 for X0, Y0, Z0) if it has one."""
     short, unit = unit_in_name(name)
     for text in dict.fromkeys((plain(name), short)):
-        axis = _axis(text)
-        if axis is not None:
-            return axis
+        for along, words in _NAMES["axes"].items():
+            for pattern in (
+                rf"(?:{words}) ?([xyz])0?(?: ?(?:achse|axis|axe|轴))?",
+                rf"([xyz])0? ?(?:achse|axis|axe|轴)?(?:向|方向)? ?(?:{words})",
+            ):
+                match = re.fullmatch(pattern, text)
+                if match:
+                    return along, _AXES[match.group(1)]
         for kind, words in _WORDS.items():
             if re.fullmatch("|".join(words), text):
                 return (kind, None) if not (kind == "segment" and unit) else ("other", None)
@@ -76,20 +82,6 @@ def kind_of_name(name: str) -> tuple[Kind, int | None]:
 def known_names(names: Iterable[str]) -> int:
     """How many of the names say what their column holds."""
     return sum(kind_of_name(name)[0] != "other" for name in names)
-
-
-def _axis(text: str) -> tuple[Kind, int] | None:
-    """Force or base rate along an axis: ``fx``, ``f x``, ``acc x``, ``x轴加速度``, ``beschleunigung x``."""
-    axes: dict[Kind, str] = _NAMES["axes"]
-    for kind, words in axes.items():
-        for pattern in (
-            rf"(?:{words}) ?([xyz])0?(?: ?(?:achse|axis|axe|轴))?",
-            rf"([xyz])0? ?(?:achse|axis|axe|轴)?(?:向|方向)? ?(?:{words})",
-        ):
-            match = re.fullmatch(pattern, text)
-            if match:
-                return kind, _AXES[match.group(1)]
-    return None
 
 
 def known_unit(text: str) -> str:
@@ -107,20 +99,6 @@ def known_unit(text: str) -> str:
 def measures(unit: str, like: str) -> bool:
     """True if the unit measures the same quantity as ``like``."""
     return bool(unit) and parse_unit(unit).dimension == parse_unit(like).dimension
-
-
-def fact(line: str) -> tuple[str, str] | None:
-    """Key of the run file and its text, from a line of a preamble: ``Seriennummer: G-0417``. None if it is none."""
-    parts = re.split(r"[:=：;\t]+|(?<=\S),(?=\s*\S)", line.strip().lstrip("#%").strip(), maxsplit=1)
-    if len(parts) != 2:
-        return None
-    name = plain(parts[0])
-    unit = re.search(r"[\[(（]([^\])）]+)[\])）]", parts[0])
-    value = re.split(r"[;\t]", parts[1].strip().strip('"'))[0].strip().strip('"').rstrip(",").strip()
-    for key, words in _FACTS.items():
-        if value and re.fullmatch("|".join(words), name):
-            return key, f"{value} {unit.group(1)}" if unit and key != "instrument.serial" else value
-    return None
 
 
 _KINDS: dict[str, Any] = _NAMES["kinds"]

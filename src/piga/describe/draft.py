@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piga.describe.columns import TOLD, ColumnGuess
 from piga.describe.log import Guess, LogDescription
@@ -490,7 +489,10 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
     if labels is not None and labels.size == x.size:
         change = np.flatnonzero(np.diff(labels) != 0) + 1
         names = [log.label_names[code] if code >= 0 else "" for code in labels[np.r_[0, change]]]
-    if not names or _moves_within(x, change):
+    known = [part for part in np.split(x, change) if np.isfinite(part).any()]
+    limit = _SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in known), default=0.0)
+    moving = sum(np.count_nonzero(np.abs(part - np.nanmedian(part)) > limit) for part in known)
+    if not names or moving > MOVING * x.size:
         if spans := positions(x):
             share = sum(stop - start for start, stop in spans) / x.size
             none = "the numbers of the positions cover moves" if names else "no column numbers the positions"
@@ -505,16 +507,6 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
             return None
     parts = np.split(x, change)
     return [(name, float(np.nanmean(part))) for name, part in zip(names, parts, strict=True) if name]
-
-
-def _moves_within(x: Array, change: NDArray[np.int64]) -> bool:
-    """True if the stand moves in more than a few rows of the parts of a column that begin at ``change``."""
-    parts = [part for part in np.split(x, change) if np.isfinite(part).any()]
-    limit = _SAME_PLACE * max((float(np.nanmax(np.abs(part))) for part in parts), default=0.0)
-    return (
-        sum(int(np.count_nonzero(np.abs(part - np.nanmedian(part)) > limit)) for part in parts)
-        > MOVING * x.size
-    )
 
 
 _STANDS = {"stand-angle": "dividing-head", "stand-speed": "centrifuge"}

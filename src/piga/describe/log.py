@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piga.describe.columns import (
+    FACTS,
     TOLD,
     ColumnGuess,
-    fact,
     guess_columns,
     kind_of_name,
     known_names,
     known_unit,
+    plain,
     without_fills,
 )
 from piga.errors import DataError, PigaError
@@ -122,7 +123,11 @@ def _describe_text(path: Path, told: Mapping[str, str]) -> LogDescription:
     stream = columns_stream(path, read, label, options)
     numbers, codes = _collected(stream, read)
     if label in numeric and codes is not None:
-        numbers[label] = _label_numbers(stream.label_names, form.decimal)[codes]
+        of_names = (
+            float(name.replace(form.decimal, ".")) if is_number(name, form.decimal) else np.nan
+            for name in stream.label_names
+        )
+        numbers[label] = np.array([*of_names, np.nan])[codes]  # the code of a row without a label is -1
     fills = without_fills(numbers, numeric)
     valued = {name: numbers[name] for name in numeric}
     columns = guess_columns(names, form.units, layout.sample, valued, told)
@@ -138,12 +143,6 @@ def _mostly_numbers(cells: list[str], decimal: str) -> bool:
     """True for a column of numbers, in which some cells may hold a word for a missing value."""
     words = sum(not is_number(cell, decimal) for cell in cells[:-1] or cells)
     return bool(cells) and words <= _MOST_WORDS * len(cells) and len(cells) > words
-
-
-def _label_numbers(names: list[str], decimal: str) -> Array:
-    """The number of each label, nan of a word; then nan for the rows without a label, whose code is -1."""
-    numbers = (float(name.replace(decimal, ".")) if is_number(name, decimal) else np.nan for name in names)
-    return np.array([*numbers, np.nan])
 
 
 def _label_column(
@@ -173,9 +172,21 @@ def _collected(
 
 def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
     """A log in another format than text: every column of numbers is read. Guesses go by short names without units."""
-    listed = _columns_in(path)
+    error = DataError(f"{path}: no columns", remedy="check that this is the log")
+    try:
+        columns_stream(path, (_NO_COLUMN,))
+    except DataError as refused:
+        error = refused
+    if not error.columns:
+        raise error
+    listed = error.columns
     names, units = _short_names(listed, file_kind(path))
-    numbers, stated = _numbers_of(path, list(names))
+    numbers: dict[str, Array] = {}
+    for name in names:  # each by itself: groups may differ in their length
+        with suppress(PigaError):
+            stream = columns_stream(path, (name,))
+            numbers |= _collected(stream, (name,))[0]
+            units |= stream.units
     full = {short: name for name, short in names.items()}
     told = {full.get(name, name): kind for name, kind in told.items()}
     label = _label_column(names, {name: ["x"] for name in names}, told)
@@ -186,7 +197,7 @@ def _describe_container(path: Path, told: Mapping[str, str]) -> LogDescription:
         stream = columns_stream(path, (other,), label)
         codes, labels = _collected(stream, (other,))[1], stream.label_names
     fills = without_fills(numbers, tuple(numbers))
-    columns = guess_columns(names, units | stated, {}, numbers, told)
+    columns = guess_columns(names, units, {}, numbers, told)
     columns += [ColumnGuess(n, "other", "it is in another group") for n in listed if n not in names]
     return LogDescription(path, None, tuple(columns), {}, numbers, codes, tuple(labels), fills)
 
@@ -206,30 +217,6 @@ def _short_names(names: tuple[str, ...], kind: str) -> tuple[dict[str, str], dic
     bare, units = units_in_names(tuple(short.values()))
     short = dict(zip(short, bare, strict=True))
     return short, {name: units[one] for name, one in short.items() if one in units}
-
-
-def _numbers_of(path: Path, names: list[str]) -> tuple[dict[str, Array], dict[str, str]]:
-    """Values and units of the columns that hold numbers, each read by itself: groups may differ in their length."""
-    numbers: dict[str, Array] = {}
-    units: dict[str, str] = {}
-    for name in names:
-        with suppress(PigaError):
-            stream = columns_stream(path, (name,))
-            numbers |= _collected(stream, (name,))[0]
-            units |= stream.units
-    return numbers, units
-
-
-def _columns_in(path: Path) -> tuple[str, ...]:
-    """Names of all columns of a container: the refusal of a column that no file has lists them."""
-    error = DataError(f"{path}: no columns", remedy="check that this is the log")
-    try:
-        columns_stream(path, (_NO_COLUMN,))
-    except DataError as refused:
-        error = refused
-    if not error.columns:
-        raise error
-    return error.columns
 
 
 # -- layout of a text log --------------------------------------------------------------------------------
@@ -350,7 +337,7 @@ def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SE
     shown = {"\t": "a tab", " ": "one or more blanks"}.get(table.separator, f"'{table.separator}'")
     split = f"{shown} splits {table.rows} rows into {table.width} cells each"
     guesses = {"delimiter": Guess(table.separator, split), "decimal": decimal}
-    if names_at != 1 or _bare(lines[0]) != lines[0]:
+    if names_at != 1 or COMMENT.sub("", lines[0]) != lines[0]:
         skipped = (
             f"; rows 1 to {above} are a preamble" if above > 1 else "; row 1 is a preamble" if above else ""
         )
@@ -365,11 +352,6 @@ def _layout(head: str, path: Path, encoding: str, separators: Sequence[str] = SE
     if units_at:
         guesses["units_row"] = Guess(units_at, "it holds units and no numbers")
     return TextLayout(form, options, sample, guesses, _facts(lines[:above]))
-
-
-def _bare(line: str) -> str:
-    """A line without the mark of a comment at its start."""
-    return COMMENT.sub("", line)
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -421,7 +403,7 @@ def _is_row(cells: list[str], width: int | None = None, *, empty: bool = True) -
 def _heads(lines: list[str], table: _TextTable) -> tuple[tuple[int, ...], int | None]:
     """Rows of the names above the first data row, counted from 1: none, one, or two over which they stand; row of the units."""
     above = [k for k in range(table.start) if lines[k].strip()][-2:]
-    rows = {k: tuple(_cells(_bare(lines[k]), table.separator)) for k in above}
+    rows = {k: tuple(_cells(COMMENT.sub("", lines[k]), table.separator)) for k in above}
     wide = [k for k in above if abs(len(rows[k]) - table.width) <= 1]
     if not wide or wide[-1] != above[-1]:
         return (), None
@@ -430,7 +412,7 @@ def _heads(lines: list[str], table: _TextTable) -> tuple[tuple[int, ...], int | 
     units = [cell for cell in last if unit_text(cell) in NO_UNIT or known_unit(unit_text(cell))]
     if len(wide) > 1 and len(units) > max(known_names(last), len(last) // 2 - 1) and is_units_row(last, first):
         at, units_at = wide[-2], at + 1
-    names, upper = rows[at], tuple(_cells(_bare(lines[at - 1]), table.separator)) if at else ()
+    names, upper = rows[at], tuple(_cells(COMMENT.sub("", lines[at - 1]), table.separator)) if at else ()
     if not 1 < len(upper) <= len(names):
         return (at + 1,), units_at
     alone, together = (known_names(units_in_names(one)[0]) for one in (names, joined_names(upper, names)))
@@ -450,9 +432,15 @@ def _decimal(body: list[list[str]], separator: str) -> Guess:
 
 
 def _facts(lines: list[str]) -> dict[str, Guess]:
+    """Values by key of the run file, from the lines of a preamble: ``Seriennummer: G-0417``."""
     facts: dict[str, Guess] = {}
     for number, line in enumerate(lines, start=1):
-        read = fact(line)
-        if read is not None:
-            facts[read[0]] = Guess(read[1], f"row {number}: '{' '.join(line.split())[:60]}'")
+        name, *rest = re.split(r"[:=：;\t]+|(?<=\S),(?=\s*\S)", line.strip().lstrip("#%").strip(), maxsplit=1)
+        value = re.split(r"[;\t]", rest[0].strip().strip('"'))[0] if rest else ""
+        value = value.strip().strip('"').rstrip(",").strip()
+        key = next((key for key, words in FACTS.items() if re.fullmatch("|".join(words), plain(name))), None)
+        if value and key is not None:
+            unit = re.search(r"[\[(（]([^\])）]+)[\])）]", name)
+            value = f"{value} {unit.group(1)}" if unit and key != "instrument.serial" else value
+            facts[key] = Guess(value, f"row {number}: '{' '.join(line.split())[:60]}'")
     return facts

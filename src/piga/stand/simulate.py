@@ -38,6 +38,7 @@ from piga.records.run import Run
 from piga.records.run_file import ModelTable
 from piga.records.terms import GYRO
 from piga.results import Array, Plotted, Reported, Result
+from piga.stand.machines import turned
 from piga.stand.profile import NONE, Imperfections, Profile, Stand, sample_stand
 from piga.units import G0
 from piga.upper import doors
@@ -291,12 +292,13 @@ class _Felt:
         wander = self.wander()
         true_force[:, 0] += wander
         force[:, 0] += wander
-        turned = [_walked(v, walk) if walk.any() else v.copy() for v in (force, base_rate)]
-        own_rate, still = np.zeros(t.size), turned[1][:, 0].copy()
+        # turned about X0: the machines turn about the third axis
+        walked = [np.roll(turned(np.roll(v.T, -1, 0), walk), 1, 1) for v in (force, base_rate)]
+        own_rate, still = np.zeros(t.size), walked[1][:, 0].copy()
         for _ in range(20):
-            turned[1][:, 0] = still - own_rate
+            walked[1][:, 0] = still - own_rate
             alpha, rate = propagate(
-                inst, t, *turned, with_rate=True, error_model=model, temperature=kelvin, between="linear"
+                inst, t, *walked, with_rate=True, error_model=model, temperature=kelvin, between="linear"
             )
             alpha = alpha + walk
             own, own_rate = own_rate, inst.scale_factor * _forces_of_angle(specimen, alpha, force, base_rate)
@@ -399,10 +401,3 @@ def _forces_of_angle(specimen: Specimen, alpha: Array, force: Array, base_rate: 
         K = specimen.instrument.scale_factor
         total += servo_force(specimen.servo, specimen.servo_damping, K, alpha, force, base_rate)
     return total
-
-
-def _walked(vectors: Array, angle: Array) -> Array:
-    """Transverse components in axes turned by ``angle`` about X0."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = vectors.T
-    return np.column_stack([x, c * y + s * z, c * z - s * y])

@@ -5,7 +5,6 @@ The truth has the names and units of a calibration.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -219,8 +218,3 @@ def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
 def _entry(value: TrueValue) -> dict[str, Any]:
     entry = {key: item for key, item in asdict(value).items() if item not in (None, "")}
     return entry | ({"segment": None} if value.name == "phi" and value.segment is None else {})
-
-
-def truth_text(scenario: Scenario, test: SimulatedTest) -> str:
-    """The truth as JSON text."""
-    return json.dumps(truth_document(scenario, test), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
