@@ -330,7 +330,6 @@ def _failures(heads: list[Row]) -> tuple[_Failure, ...]:
 
 # --- page --------------------------------------------------------------------------------------------
 
-_REPEAT = "piga campaign repeat {} --record N --out DIR writes the scenario of record N."
 _GROUPS = 60
 """Most groups whose tables are on the page; ``coefficients.csv`` has all."""
 
@@ -340,14 +339,39 @@ def campaign_page(collected: Collected) -> Page:
     judged = [result for result in collected.groups if _has_truth(result)]
     plain = [result for result in collected.groups if result.coefficients and not _has_truth(result)]
     seen = [result for result in collected.groups if result.seen]
+    reports = sorted({name for result in seen for name in result.seen})
+    reported = (
+        TableOf(seen)
+        .text("Group", lambda result: result.label)
+        .number("Records", lambda result: str(result.records))
+        .across(reports, str, lambda result, name: f"{100 * result.seen.get(name, 0.0):.1f}", lambda _: "%")
+        .table(notes=("Share of the records with this noise in the result, or this term suggested.",))
+    )
+    again = f"piga campaign repeat {collected.campaign} --record N --out DIR writes the scenario of record N."
+    worst = (
+        TableOf(collected.worst)
+        .text("Group", lambda w: w.group)
+        .text("Coefficient", lambda w: w.coefficient)
+        .number("Error", lambda w: signed(w.z, 1), "u")
+        .number("Record", lambda w: str(w.record))
+        .table("The largest errors over their standard uncertainties", (again,))
+    )
+    failures = (
+        TableOf(collected.failures)
+        .text("Class", lambda f: f.error_class)
+        .number("Records", lambda f: str(f.records))
+        .number("First record", lambda f: str(f.first))
+        .text("First message", lambda f: f.message[:300])
+        .table("A record that fails is a row; the campaign goes on.", (again,))
+    )
     figure: list[Content] = [_LEAD, _coverage_figure(judged)] if judged else []
     sections: list[tuple[str, str, Sequence[Content]]] = [
         ("Judgement", "judgement", judgement(collected)),
         ("Intervals", "intervals", [*figure, *_tables(judged, _interval_table)]),
         ("Results", "results", _tables(plain, _plain_table)),
-        ("What the calibrations report", "seen", [_seen_table(seen)] if seen else []),
-        ("Worst cases", "worst", [_worst_table(collected)] if collected.worst else []),
-        ("Records that failed", "failures", [_failure_table(collected)] if collected.failures else []),
+        ("What the calibrations report", "seen", [reported] if seen else []),
+        ("Worst cases", "worst", [worst] if collected.worst else []),
+        ("Records that failed", "failures", [failures] if collected.failures else []),
     ]
     return Page(
         title=collected.title,
@@ -451,39 +475,6 @@ def _plain_table(result: GroupResult) -> Table:
         .number("Lowest", lambda c: _number(c, c.lowest))
         .number("Highest", lambda c: _number(c, c.highest))
         .table(result.label, (_count(result),))
-    )
-
-
-def _seen_table(results: list[GroupResult]) -> Table:
-    names = sorted(dict.fromkeys(name for result in results for name in result.seen))
-    return (
-        TableOf(results)
-        .text("Group", lambda result: result.label)
-        .number("Records", lambda result: str(result.records))
-        .across(names, str, lambda result, name: f"{100 * result.seen.get(name, 0.0):.1f}", lambda _: "%")
-        .table(notes=("Share of the records with this noise in the result, or this term suggested.",))
-    )
-
-
-def _worst_table(collected: Collected) -> Table:
-    return (
-        TableOf(collected.worst)
-        .text("Group", lambda w: w.group)
-        .text("Coefficient", lambda w: w.coefficient)
-        .number("Error", lambda w: signed(w.z, 1), "u")
-        .number("Record", lambda w: str(w.record))
-        .table("The largest errors over their standard uncertainties", (_REPEAT.format(collected.campaign),))
-    )
-
-
-def _failure_table(collected: Collected) -> Table:
-    return (
-        TableOf(collected.failures)
-        .text("Class", lambda f: f.error_class)
-        .number("Records", lambda f: str(f.records))
-        .number("First record", lambda f: str(f.first))
-        .text("First message", lambda f: f.message[:300])
-        .table("A record that fails is a row; the campaign goes on.", (_REPEAT.format(collected.campaign),))
     )
 
 

@@ -343,7 +343,13 @@ def trend(
     """
     from piga.reports.trend import brief, page, trend_document
 
-    files = _calibration_files(sources or [])
+    files: list[Path] = []
+    for source in sources or []:  # files, and those in folders; what a command is still writing is none of them
+        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
+        inside = [path for path in inside if not any(part.startswith(HIDDEN) for part in path.parts)]
+        if not inside:
+            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
+        files += [path for path in inside if path not in files]
     with progress("reading"):
         drifts = piga.find_trend(history(files, store, serial), common=common)
     date = day_in(at, "--at") if at else drifts.times[-1] + dt.timedelta(days=365)
@@ -351,18 +357,6 @@ def trend(
     with deliver(out, "trend", names, files) as to:
         document = trend_document(drifts, at=date)
         to.show(document, page(drifts, date), brief(drifts, date), *names)
-
-
-def _calibration_files(sources: Iterable[Path]) -> list[Path]:
-    """The files that are named, and those in folders; what a command is still writing is none of them."""
-    paths: list[Path] = []
-    for source in sources:
-        inside = sorted(source.rglob("calibration*.json")) if source.is_dir() else [source]
-        inside = [path for path in inside if not any(part.startswith(HIDDEN) for part in path.parts)]
-        if not inside:
-            raise PigaError(f"{source}: holds no calibration.json", remedy="name another directory")
-        paths += inside
-    return list(dict.fromkeys(paths))
 
 
 def history(files: list[Path], store: str | None, serial: str | None) -> list[HistoryEntry]:

@@ -322,8 +322,12 @@ def _by_name(name: str, short: str, logged: str, cells: list[str], x: Array | No
         return guess.but("time", "its cells are time stamps", *forms[1:], stamp=forms[0], unit="")
     if kind == "segment" and measures(unit, "rad"):
         return guess.but("stand-angle", f"its name, and its unit {unit}")
-    if kind in UNITS and unit and not measures(unit, UNITS[kind][0]):
-        return _by_unit(guess)
+    if kind in UNITS and unit and not measures(unit, UNITS[kind][0]):  # the unit decides
+        others: tuple[Kind, ...] = ("time",) if kind == "temperature" else ("angle", "rate", "temperature")
+        for other in others:
+            if measures(unit, UNITS[other][0]):
+                return guess.but(other, f"its unit {unit}", WORDS[kind], axis=None)
+        return guess.but("other", f"its name says {WORDS[kind]}, its unit {unit} does not", axis=None)
     if x is None and kind not in ("segment", "date"):
         example = next((f", such as '{cell[:30]}'" for cell in cells if not _PLAIN.fullmatch(cell)), "")
         return guess.but("other", f"its cells are not numbers{example}", unit="")
@@ -331,16 +335,6 @@ def _by_name(name: str, short: str, logged: str, cells: list[str], x: Array | No
         why = "its unit is a frequency: piga reads a running count, an angle or a rate such as rev/s, not pulses per second"
         return replace(guess, reason=why)
     return guess
-
-
-def _by_unit(guess: ColumnGuess) -> ColumnGuess:
-    """A column whose name and unit disagree: the unit decides."""
-    others: tuple[Kind, ...] = ("angle", "rate", "temperature") if guess.kind != "temperature" else ("time",)
-    for kind in others:
-        if measures(guess.unit, UNITS[kind][0]):
-            return guess.but(kind, f"its unit {guess.unit}", WORDS[guess.kind], axis=None)
-    why = f"its name says {WORDS[guess.kind]}, its unit {guess.unit} does not"
-    return guess.but("other", why, axis=None)
 
 
 def _turning(guess: ColumnGuess, numbers: dict[str, Array], counted: bool) -> ColumnGuess:

@@ -44,7 +44,7 @@ class Question:
 
 
 _FORCE = '{ columns = ["fx", "fy", "fz"], unit = "g" }'
-_ASKED = (
+QUESTIONS = {one.key: one for one in (
     Question("instrument.scale_factor", "nominal scale factor (pendulosity over angular momentum)", "0.8884 rad/s/g"),
     Question("instrument.counts_per_revolution", "counts of the output per revolution of the outer gimbal", "72000"),
     Question("data.output", "column of the output", '{ column = "n", kind = "counts" }'),
@@ -53,8 +53,7 @@ _ASKED = (
     Question("stand.latitude", "latitude of the laboratory", "40 deg"),
     Question("stand.height", "height of the laboratory above sea level (if you know it)", "320 m"),
     Question("stand.radius", "radius of the centrifuge at the instrument", "1 m"),
-)  # fmt: skip
-QUESTIONS = {one.key: one for one in _ASKED}
+)}  # fmt: skip
 """Values that no log need hold, by key of the run file."""
 
 
@@ -469,7 +468,23 @@ def put_reference(
             continue
         held = _holds(draft, log, column) if column.name in log.numbers else None
         if held is not None:
-            _put_stand(draft, log, column, [f"{value:.9g} {column.unit}" for _, value in held])
+            values = [f"{value:.9g} {column.unit}" for _, value in held]
+            mean = f"mean of {column.name} in each of {len(values)} segments, in order"
+            head = column.kind == "stand-angle"
+            why = f"{column.name} is the {'angle' if head else 'speed'} of the stand: {column.reason}"
+            draft.put("stand.kind", _STANDS[column.kind], why, '  or: kind = "rate-table"')
+            if head:
+                signs = "0 deg has X0 up; change the signs if the head turns the other way"
+                north = (
+                    "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)"
+                )
+                draft.put("stand.positions", values, mean, signs, north)
+            else:
+                draft.put("stand.rates", values, mean)
+                draft.put("stand.down", False, "the list holds the levels up and down as they were run")
+                draft.put_fact(log.facts, "stand.radius", "m")
+            for key, unit in (("latitude", "deg"), ("height", "m"), ("gravity", "m/s^2")):
+                draft.put_fact(log.facts, f"stand.{key}", unit)
             return
 
 
@@ -511,25 +526,6 @@ def _holds(draft: RunFileDraft, log: LogDescription, column: ColumnGuess) -> lis
 
 _STANDS = {"stand-angle": "dividing-head", "stand-speed": "centrifuge"}
 """Stand of a column of each kind."""
-
-
-def _put_stand(draft: RunFileDraft, log: LogDescription, column: ColumnGuess, values: list[str]) -> None:
-    """The stand of a column: a head of its angles, or an arm of its speeds."""
-    head = column.kind == "stand-angle"
-    why = f"{column.name} is the {'angle' if head else 'speed'} of the stand: {column.reason}"
-    draft.put("stand.kind", _STANDS[column.kind], why, '  or: kind = "rate-table"')
-    mean = f"mean of {column.name} in each of {len(values)} segments, in order"
-    if head:
-        signs = "0 deg has X0 up; change the signs if the head turns the other way"
-        north = "the axis of the head points north; if not, add azimuth = '90 deg' (from north over east)"
-        draft.put("stand.positions", values, mean, signs, north)
-    else:
-        draft.put("stand.rates", values, mean)
-        draft.put("stand.down", False, "the list holds the levels up and down as they were run")
-        draft.put_fact(log.facts, "stand.radius", "m")
-    draft.put_fact(log.facts, "stand.latitude", "deg")
-    draft.put_fact(log.facts, "stand.height", "m")
-    draft.put_fact(log.facts, "stand.gravity", "m/s^2")
 
 
 def _direct(draft: RunFileDraft) -> bool:

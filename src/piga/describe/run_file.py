@@ -69,7 +69,12 @@ def draft_run_file(
     output = put_output(draft, log)
     _optional(draft, log)
     put_reference(draft, log, output, settings)
-    _fills(draft, log)
+    used = json.dumps(draft.document["data"])
+    fills = {name: value for name, value in log.fills.items() if json.dumps(name) in used}
+    if fills:
+        marks = ", ".join(f"{value:g} in {name}" for name, value in fills.items())
+        words = list(dict.fromkeys(f"{value:g}" for value in fills.values()))
+        draft.put("data.missing", words, f"the log writes {marks} for a missing value: such rows are left out")
     for key, value in settings.items():
         draft.give(key, value)
     put_instrument(draft, log, output)
@@ -159,16 +164,6 @@ def _optional(draft: RunFileDraft, log: LogDescription) -> None:
     numbers = [c for c in log.of("sequence") if c.name in log.numbers and Values.of(log.numbers[c.name]).even]
     if numbers:
         draft.put("data.sequence", {"column": numbers[0].name}, numbers[0].reason)
-
-
-def _fills(draft: RunFileDraft, log: LogDescription) -> None:
-    """Numbers that mark missing values in the columns in use."""
-    used = json.dumps(draft.document["data"])
-    fills = {name: value for name, value in log.fills.items() if json.dumps(name) in used}
-    if fills:
-        marks = ", ".join(f"{value:g} in {name}" for name, value in fills.items())
-        words = list(dict.fromkeys(f"{value:g}" for value in fills.values()))
-        draft.put("data.missing", words, f"the log writes {marks} for a missing value: such rows are left out")
 
 
 # -- repairs ---------------------------------------------------------------------------------------------

@@ -413,8 +413,8 @@ class VibrationTable:
         """Drives ``0, 1, ...``."""
         return plan([(str(k), drive.duration, True) for k, drive in enumerate(self.drives)])
 
-    def _drive(self, t: Array) -> tuple[Array, Array, Array]:
-        """Acceleration, its rate of change, and the drive's amplitude, at ``t``."""
+    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
+        """Specific force and base rate in base axes, (n, 3) each."""
         starts = np.array([s.start for s in self.segments()])
         index = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, starts.size - 1)
         wave, wave_rate, peak = np.zeros(t.size), np.zeros(t.size), np.ones(t.size)
@@ -422,11 +422,6 @@ class VibrationTable:
             rows = index == k
             wave[rows], wave_rate[rows] = drive.acceleration(np.clip(t[rows] - starts[k], 0.0, drive.duration))
             peak[rows] = drive.amplitude or 1.0
-        return wave, wave_rate, peak
-
-    def motion(self, t: Array, errors: Imperfections) -> tuple[Array, Array]:
-        """Specific force and base rate in base axes, (n, 3) each."""
-        wave, wave_rate, peak = self._drive(t)
         to_base = (
             mount(self.up) @ _ALONG_Z["Y0"] @ rotation_vector_to_matrix(np.array([0.0, *errors.levelling])).T
         )

@@ -237,15 +237,6 @@ def plan_holds(count: int, dwell: float, way: str, move: float) -> tuple[Segment
     return plan(parts)
 
 
-def segment_index(t: Array, segments: tuple[Segment, ...]) -> NDArray[np.int32]:
-    """Segment of each time. A border belongs to the recorded segment; between two recorded segments, to the later."""
-    starts, recorded = np.array([(s.start, s.recorded) for s in segments]).T
-    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
-    before = np.maximum(index - 1, 0)
-    at_border = np.abs(t - starts[index]) < 1e-9
-    return np.where(at_border & (recorded[index] < recorded[before]), before, index).astype(np.int32)
-
-
 def sample_stand(
     stand: Stand, step: float, *, errors: Imperfections = NONE, oversample: int = 1, extra: int = 0
 ) -> Profile:
@@ -272,10 +263,14 @@ def sample_stand(
             )
     end = round((segments[-1].stop - segments[0].start) / step) * oversample
     t = segments[0].start + np.arange(end + extra + 1) * step / oversample
-    force, rate = stand.motion(t, errors)
-    reference, reference_rate = stand.motion(t, NONE)
-    force, rate = errors.felt(force, rate)
-    return Profile(t, segment_index(t, segments), segments, force, rate, reference, reference_rate)
+    # a border belongs to the recorded segment; between two recorded segments, to the later
+    starts, recorded = np.array([(s.start, s.recorded) for s in segments]).T
+    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
+    before = np.maximum(index - 1, 0)
+    at_border = np.abs(t - starts[index]) < 1e-9
+    segment = np.where(at_border & (recorded[index] < recorded[before]), before, index).astype(np.int32)
+    felt = errors.felt(*stand.motion(t, errors))
+    return Profile(t, segment, segments, *felt, *stand.motion(t, NONE))
 
 
 def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,9 +22,6 @@ from piga.stand.simulate import SimulatedTest
 from piga.tables import label_column, number_column
 from piga.text_files import toml_text
 from piga.units import G0, parse_unit
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -120,9 +117,13 @@ def _output_name(test: SimulatedTest) -> str:
     return "output" if test.specimen.direct and kind == "rate" else _OUTPUT[kind]
 
 
-def _log_table(test: SimulatedTest) -> pa.Table:
-    """The log as a table: ``t_s``, ``segment``, output, ``fx_g ...``, ``wx_rad_s ...``, ``T_degC``."""
+def write_data(test: SimulatedTest, path: Path) -> None:
+    """Write the log as Parquet or CSV, by the ending of ``path``.
+
+    Its columns: ``t_s``, ``segment``, output, ``fx_g ...``, ``wx_rad_s ...``, ``T_degC``.
+    """
     import pyarrow as pa
+    from pyarrow import csv, parquet
 
     log = test.log
     if all(name.isdigit() for name in log.labels):
@@ -135,14 +136,7 @@ def _log_table(test: SimulatedTest) -> pa.Table:
     columns["T_degC"] = log.temperature - 273.15
     columns |= {} if log.vibration is None else {"vibration_g": log.vibration / G0}
     made = [number_column(c) if isinstance(c, np.ndarray) else c for c in columns.values()]
-    return pa.Table.from_arrays(made, names=list(columns))
-
-
-def write_data(test: SimulatedTest, path: Path) -> None:
-    """Write the log as Parquet or CSV, by the ending of ``path``."""
-    from pyarrow import csv, parquet
-
-    table = _log_table(test)
+    table = pa.Table.from_arrays(made, names=list(columns))
     if path.suffix == ".csv":
         csv.write_csv(table, path, csv.WriteOptions(quoting_style="needed"))
     else:
@@ -197,15 +191,12 @@ def _model(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
 
 def truth_document(scenario: Scenario, test: SimulatedTest) -> dict[str, Any]:
     """The truth as one JSON document (schema ``piga.truth/1``)."""
-    kinds = {
-        "coefficients": coefficients(test),
-        "imperfections": imperfection_values(test.imperfections),
-    }
     document: dict[str, Any] = {
         "schema": "piga.truth/1",
         "instrument": {"serial": scenario.table.instrument.serial},
         "simulation": {"model": test.model, "stand": test.stand.kind, "seed": test.seed},
-        **{name: [_entry(value) for value in values] for name, values in kinds.items()},
+        "coefficients": [_entry(value) for value in coefficients(test)],
+        "imperfections": [_entry(value) for value in imperfection_values(test.imperfections)],
         "provenance": {"software": f"piga {__version__}", "scenario": scenario.path.name},
     }
     if test.motion is not None:
