@@ -268,9 +268,9 @@ def sample_stand(
     index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(segments) - 1)
     before = np.maximum(index - 1, 0)
     at_border = np.abs(t - starts[index]) < 1e-9
-    segment = np.where(at_border & (recorded[index] < recorded[before]), before, index).astype(np.int32)
+    place = np.where(at_border & (recorded[index] < recorded[before]), before, index).astype(np.int32)
     felt = errors.felt(*stand.motion(t, errors))
-    return Profile(t, segment, segments, *felt, *stand.motion(t, NONE))
+    return Profile(t, place, segments, *felt, *stand.motion(t, NONE))
 
 
 def force_change(stand: Stand, t: Array, errors: Imperfections) -> Array:
