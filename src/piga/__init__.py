@@ -201,7 +201,8 @@ def __getattr__(name: str) -> Any:
         for package, names in _NEEDS.items():
             if name in names.split() and find_spec(package) is None:
                 raise missing_package(package)
-        return getattr(import_module(_LAZY[name]), name)
+        globals()[name] = getattr(import_module(_LAZY[name]), name)
+        return globals()[name]
     if name in ROOMS:
         return import_module(f"piga.{name}")
     raise AttributeError(f"module 'piga' has no attribute '{name}'")

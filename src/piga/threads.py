@@ -26,7 +26,8 @@ def one_thread() -> Iterator[None]:
     """
     with _LOCK:
         if _HELD[0] == 0:
-            _HELD[1] = _limit()
+            with suppress(ImportError):  # nothing is changed without the package
+                _HELD[1] = _libraries().limit(limits=1, user_api="blas")
         _HELD[0] += 1
     try:
         yield
@@ -36,13 +37,6 @@ def one_thread() -> Iterator[None]:
             if _HELD[0] == 0 and _HELD[1] is not None:
                 limit, _HELD[1] = _HELD[1], None
                 limit.restore_original_limits()
-
-
-def _limit() -> Any:
-    """The limit; None without the package."""
-    with suppress(ImportError):
-        return _libraries().limit(limits=1, user_api="blas")
-    return None
 
 
 @cache

@@ -61,7 +61,7 @@ def plan(order: Sequence[int], excess: float, seed: int) -> tuple[Layout, Estima
     for index, row in enumerate(columns):
         rate = np.repeat(row[None, :], 50, axis=0)
         y = excess / np.sqrt(50.0) * rng.standard_normal() + rng.standard_normal(50)
-        part = Reduction.of_rows((*names, "rate"), np.column_stack([rate, np.ones(50), y]), 50)
+        part = Reduction((*names, "rate"), triangle(np.column_stack([rate, np.ones(50), y])), 50)
         repetitions.append(Repetition(part, 0, 0.0, f"p{index}", 65.0 * index, 65.0 * index + 60.0))
         parts.append(part.select(names))
     layout = layout_of(False, (), names)
@@ -94,7 +94,7 @@ def test_a_position_that_alone_determines_a_coefficient_is_named() -> None:
     for index, repetition in enumerate(repetitions):
         rows = np.insert(repetition.part.factor, 4, 0.0, axis=1)
         rows[:, 4] = repetition.part.factor[:, 4] if index == 7 else 0.0
-        part = Reduction.of_rows(names, rows, repetition.part.count)
+        part = Reduction(names, triangle(rows), repetition.part.count)
         wider.append(Repetition(part, 0, 0.0, f"p{index}", repetition.begin, repetition.end))
     estimate = solve_parts(layout, [Reduction.stacked([one.part.select(names[:-1]) for one in wider])])
     with pytest.raises(LeverageError, match="position 'p7' alone determines k0_T") as caught:
@@ -110,7 +110,7 @@ def test_runs_that_scatter_more_than_their_positions_widen() -> None:
     for run, offset in enumerate(offsets):
         for index in range(8):
             rows = np.column_stack([np.ones((40, 2)), offset + rng.standard_normal(40)])
-            part = Reduction.of_rows(("k0", "rate"), rows, 40)
+            part = Reduction(("k0", "rate"), triangle(rows), 40)
             repetitions.append(Repetition(part, 0, 0.0, f"p{index}", 60.0 * index, 60.0 * index + 50.0, run))
     estimate = solve_parts(layout, [Reduction.stacked([one.part.select(("k0",)) for one in repetitions])])
     interval = find_interval(layout, estimate, repetitions)

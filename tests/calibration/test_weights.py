@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.weights import (
     RATE,
     Noise,
@@ -38,8 +38,8 @@ def test_levels_come_back_whatever_the_rates(white: float, walk: float) -> None:
     h, edges = stretches(12, 300)
     d = increments(rng, 12, 300, white, walk) + h * np.repeat(1e-3 * rng.standard_normal(12), 300)
     noise = likeliest_levels(d, h, edges, H, 2, 0.0)
-    assert noise.angle_rms == pytest.approx(white, rel=0.06 if walk <= white else 1.0)
-    assert noise.angle_random_walk == pytest.approx(walk, rel=0.1, abs=2e-6)
+    assert np.sqrt(noise.white) == pytest.approx(white, rel=0.06 if walk <= white else 1.0)
+    assert np.sqrt(noise.walk) == pytest.approx(walk, rel=0.1, abs=2e-6)
 
 
 def rounding_errors(rng: np.random.Generator, turned: np.ndarray, rows: int, walk: float = 0.0) -> np.ndarray:
@@ -57,9 +57,9 @@ def test_rounding_that_neighbouring_readings_share_is_no_walk(walk: float) -> No
     error = rounding_errors(np.random.default_rng(8), turned, rows, walk)
     d = np.diff(error, axis=1, prepend=error[:, :1]).ravel()
     noise = likeliest_levels(d, h, edges, H, 2, np.sqrt(0.95 / 12.0))
-    assert noise.angle_rms == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
-    assert noise.angle_random_walk == pytest.approx(walk, rel=0.3, abs=0.01)
-    assert likeliest_levels(d, h, edges, H, 2, 0.0).angle_random_walk > 0.2
+    assert np.sqrt(noise.white) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
+    assert np.sqrt(noise.walk) == pytest.approx(walk, rel=0.3, abs=0.01)
+    assert likeliest_levels(d, h, edges, H, 2, 0.0).walk > 0.04
 
 
 @pytest.mark.parametrize("periods", [2, 5])
@@ -90,7 +90,8 @@ def positions(rng: np.random.Generator, scatter: float, count: int = 24) -> list
     for k in range(count):
         a = np.cos(2.0 * np.pi * k / count)
         y = 3.0 * a + 1.0 + scatter * rng.standard_normal() + rng.standard_normal(60)
-        parts.append(Reduction.of_rows(names, np.column_stack([np.tile([a, 1.0, 1.0], (60, 1)), y]), 60))
+        rows = np.column_stack([np.tile([a, 1.0, 1.0], (60, 1)), y])
+        parts.append(Reduction(names, triangle(rows), 60))
     return parts
 
 

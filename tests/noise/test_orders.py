@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from piga.calibration.residuals import count_size
+from piga.calibration.weights import count_size
 from piga.noise.orders import order_spectrum, ripple
 from piga.records.calibration.diagnostics import Residuals
 from piga.units import ARCSEC, G0

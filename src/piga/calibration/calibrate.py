@@ -11,14 +11,15 @@ from typing import Any, Literal
 import numpy as np
 
 from piga._version import __version__
-from piga.calibration.advice import advise, looks_wrong, with_advice
+from piga.calibration.doubts import advise, find_creep, find_leverage, looks_wrong, with_advice
+from piga.calibration.intervals import segment_scatter
 from piga.calibration.joint import (
     JointFit,
     check_items,
     effects,
     fit_alone,
     fit_jointly,
-    given_servo_of,
+    joint_sources,
     now,
     sources_of_stand,
     with_all_sources,
@@ -35,20 +36,18 @@ from piga.calibration.missing_terms import (
 from piga.calibration.model.identifiability import one_way_in_words, remarks_in_words, scatter_in_words
 from piga.calibration.model.request import make_request
 from piga.calibration.model_choice import compare_models
-from piga.calibration.positions import find_creep, find_leverage
-from piga.calibration.residuals import (
+from piga.calibration.sources import gravity_in_words
+from piga.calibration.summary import RunSummary
+from piga.calibration.uncertainty import Budget, add_up, monte_carlo_intervals, with_given_servo
+from piga.calibration.weights import (
+    Positions,
     diagnose,
     find_residuals,
     is_rounded,
     residual_angles,
     residual_figures,
-    segment_scatter,
     segment_table,
 )
-from piga.calibration.sources import gravity_in_words
-from piga.calibration.summary import RunSummary
-from piga.calibration.uncertainty import Budget, add_up, monte_carlo_intervals, with_given_servo
-from piga.calibration.weights import Positions
 from piga.errors import ArgumentError, CalibrationError, CalibrationWarning, DataError, IdentifiabilityError
 from piga.progress import Progress, Steps
 from piga.records.calibration.calibration import Calibration, Provenance, RunRecord
@@ -161,7 +160,9 @@ def _calibration(fit: JointFit, steps: Steps) -> Calibration:
     result = _result(fit, coefficients, budget, doubts)
     result = _with_remarks(result, fit, candidates, doubts)
     result = replace(result, diagnostics=replace(result.diagnostics, monte_carlo=monte_carlo))
-    return with_given_servo(result, *given_servo_of(fit))
+    by_source = {source.name: dict(source.known_servo) for source, _ in joint_sources(fit.summaries)}
+    moved_servo = {name: servo for name, servo in by_source.items() if servo}
+    return with_given_servo(result, dict(fit.summaries[0].known_servo), moved_servo)
 
 
 def _part_of(
@@ -175,11 +176,11 @@ def _part_of(
     segments, figures, residuals, scatter = summary.segments, summary.figures, None, Diagnostics()
     if live:
         design, values = fit.design_of(index, live)
-        residuals = find_residuals(design, values, live.noise)
+        residuals = find_residuals(design, values, summary.noise)
         if not design.point:
             positions = fit.positions(index, fit.estimate)
-            each = values[Positions.of(live.run).segments]
-            scatter = segment_scatter(positions, each, live.noise, live.run)
+            each = values[Positions.of(live.design.run).segments]
+            scatter = segment_scatter(positions, each, summary.noise, live.design.run)
         if summary.kind != kind:
             residuals = residual_angles(residuals, "rate")
         segments, figures = segment_table(design, residuals), residual_figures(residuals)
@@ -190,8 +191,8 @@ def _part_of(
         phases=summary.phases,
         raw=live is not None,
         rows=live.design.rows if live else summary.count,
-        angle_rms=summary.noise.angle_rms,
-        angle_random_walk=summary.noise.angle_random_walk,
+        angle_rms=math.sqrt(summary.noise.white),
+        angle_random_walk=math.sqrt(summary.noise.walk),
         **figures,
         quality=summary.quality,
         undetermined=summary.undetermined,
@@ -209,42 +210,44 @@ def _result(
     parts = [_part_of(fit, index, kind) for index in range(len(fit.summaries))]
     records, segments, residuals, scatters = (list(column) for column in zip(*parts, strict=True))
     rows = [record.rows for record in records]
-
-    def mean_square(name: str) -> float:
-        return float(np.sqrt(np.average(np.square([getattr(r, name) for r in records]), weights=rows)))
-
-    runs = [live.run for live in fit.live if live]
+    white, walk, after, before = (
+        float(np.sqrt(np.average(np.square([getattr(r, name) for r in records]), weights=rows)))
+        for name in ("angle_rms", "angle_random_walk", "residual_rms", "residual_rms_before")
+    )
+    runs = [live.design.run for live in fit.live if live]
     scatter = max(scatters, key=lambda one: one.worst_scatter)
     angle: Literal["angle", "count"] = "count" if first.unit != GYRO else "angle"
     tests = replace(scatter, residual_kind="rate" if kind == "rate" else angle, range=fit.ranges)
     innovations = [own.innovation for own in residuals if own]
     if innovations:
-        rounded = any(is_rounded(live.run, live.noise) for live in fit.live if live)
+        rounded = any(is_rounded(live.design.run, live.noise) for live in fit.live if live)
         tests = diagnose(innovations, tests, rounded=rounded)
-    compared: Any = compare_models(only.run).document() if only and only.run.model.compare else None
+    compared: Any = (
+        compare_models(only.design.run).document() if only and only.design.run.model.compare else None
+    )
     named = [(f"{r.name}:" if not only else "", own) for r, own in zip(records, segments, strict=True)]
     return Calibration(
         serial=first.serial,
         scale_factor_nominal=first.scale_factor,
         terms=fit.terms,
         phases="per-segment" if any(s.phases == "per-segment" for s in fit.summaries) else "shared",
-        phase_source=only.request.phase_source if only else "output",
-        method=only.request.method if only else "information",
+        phase_source=only.design.request.phase_source if only else "output",
+        method=only.design.request.method if only else "information",
         coefficients=coefficients,
         covariance=budget.covariance,
         surplus_observations=float(sum(rows) - len(coefficients)),
-        angle_rms=mean_square("angle_rms"),
-        angle_random_walk=mean_square("angle_random_walk"),
-        segment_scatter=only.noise.segment_scatter if only else 0.0,
-        residual_rms=mean_square("residual_rms"),
-        residual_rms_before=mean_square("residual_rms_before"),
+        angle_rms=white,
+        angle_random_walk=walk,
+        segment_scatter=math.sqrt(first.noise.scatter) if only else 0.0,
+        residual_rms=after,
+        residual_rms_before=before,
         residual_max_before=max(record.residual_max_before for record in records),
         residual_max_after=max(record.residual_max_after for record in records),
-        quality=_joint_quality(records),
+        quality=records[0].quality if only else _joint_quality(records),
         condition=fit.examination.condition,
         notes=scatter_in_words(scatter, direct=first.unit != GYRO),
         remarks=(
-            *(one_way_in_words(only.run, fit.terms) if only else ()),
+            *(one_way_in_words(only.design.run, fit.terms) if only else ()),
             *remarks_in_words(coefficients, budget.covariance),
             *(() if only else _notes_on_runs(records)),
         ),
@@ -279,8 +282,6 @@ def _joint_residuals(residuals: list[Residuals | None], segments: list[int]) -> 
 
 
 def _joint_quality(records: list[RunRecord]) -> Quality:
-    if len(records) == 1 and not records[0].name:
-        return records[0].quality
     events = tuple(
         Event(event.kind, event.count, event.first_row, f"run {record.name}: {event.detail}".rstrip(": "))
         for record in records
@@ -312,7 +313,10 @@ def _provenance(fit: JointFit) -> Provenance:
         "per_run": list(fit.per_run),
     }
     if fit.only:
-        options = {"source": fit.only.run.source, "noise_given": fit.only.request.angle_rms is not None}
+        options = {
+            "source": fit.only.design.run.source,
+            "noise_given": fit.only.design.request.angle_rms is not None,
+        }
     return Provenance(hashes, f"piga {__version__}", now(), options)
 
 
@@ -330,7 +334,7 @@ def _with_remarks(
     leverage, alone, moved = find_leverage(fit, candidates.fit, coefficients)
     advice: tuple[str, ...] = ()
     if only and looks_wrong(result):
-        advice = advise(only.run, only.request, scale_over_nominal(result))
+        advice = advise(only.design.run, only.design.request, scale_over_nominal(result))
     missing = () if advice else suggest_terms(candidates, coefficients)
     said = [*((math.inf, words) for words in advice), *_suggested(fit, missing, doubts, coefficients)] or [
         *moved

@@ -21,13 +21,13 @@ from piga.calibration.model.design import Design, joined_rows
 from piga.calibration.model.reduction import Reduction
 from piga.calibration.model.request import Request
 from piga.calibration.model.solution import Estimate, Layout, merged_groups, solve_parts
-from piga.calibration.residuals import count_of
 from piga.calibration.summary import MergedRuns, RunSummary
 from piga.calibration.weights import (
     RATE,
     Noise,
     Positions,
     Whitener,
+    count_of,
     find_noise,
     find_scatter,
     reduce_positions,
@@ -112,21 +112,6 @@ class Fit:
     outliers: tuple[Outlier, ...] = ()
 
     @property
-    def run(self) -> Run:
-        """The record as used."""
-        return self.design.run
-
-    @property
-    def request(self) -> Request:
-        """The request with the terms of the fit."""
-        return self.design.request
-
-    @property
-    def summary(self) -> RunSummary:
-        """The triangles ``[model | rate | y]`` of the positions, with what is needed to solve them."""
-        return replace(self.runs.summaries[0], outliers=self.outliers)
-
-    @property
     def noise(self) -> Noise:
         """The levels that weigh the rows."""
         return self.runs.summaries[0].noise
@@ -189,7 +174,7 @@ def _fit(run: Run, request: Request, stated: tuple[float, ...]) -> Fit:
             break
         noise, raw = replace(levels, stated=own), refined
     if given is None and raw.mode != "rates" and not positions.continuous:
-        noise = find_scatter(_linear_parts(fit), noise, phases=raw.has_phases)
+        noise = find_scatter(_linear_parts(fit), noise, phases=fit.estimate.phases.size > 1)
     weighted = summary.weighted(noise)
     if noise.rate_variances(positions.count).any():
         return _solved(raw, weighted)
@@ -206,12 +191,11 @@ def _solved(raw: Design, summary: RunSummary) -> Fit:
 
 def _linear_parts(fit: Fit) -> list[Reduction]:
     """Triangles ``[parameters | rate | residual]`` of the positions about the fit, each without a phase of its own."""
-    layout, estimate = fit.runs.layout, fit.estimate
-    at = list(range(layout.size + (0 if fit.design.has_phases else estimate.phases.size)))
+    layout, estimate, local = fit.runs.layout, fit.estimate, fit.estimate.phases.size > 1
+    at = list(range(layout.size + (0 if local else estimate.phases.size)))
     names, positions = (*map(str, at), RATE), fit.runs.positions(0, estimate)
     return [
-        Reduction(names, parameter_rows(layout, estimate, p, at, local=fit.design.has_phases), p.part.count)
-        for p in positions
+        Reduction(names, parameter_rows(layout, estimate, p, at, local=local), p.part.count) for p in positions
     ]
 
 
@@ -274,7 +258,7 @@ def _is_suspicious(fit: Fit) -> bool:
     if largest_size(d) <= _LEAST_MISS or spread == 0.0:
         return False
     narrow = float(np.median(size)) / NORMAL_MEDIAN < _NARROW_CORE * spread and spread > 10.0 * _LEAST_MISS
-    if narrow and spread > 1.5 * count_of(fit.run):
+    if narrow and spread > 1.5 * count_of(fit.design.run):
         return True
     unit = spread if samples else 1.0
     core = float(np.median(shown)) / NORMAL_MEDIAN / unit

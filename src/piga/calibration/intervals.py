@@ -19,10 +19,13 @@ import numpy as np
 
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import Estimate, Layout
-from piga.calibration.weights import rate_share
+from piga.calibration.weights import Noise, count_of, rate_share, root_mean_square
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Level, Number
+from piga.records.calibration.diagnostics import Diagnostics
+from piga.records.run import Run
 from piga.results import Array
+from piga.units import G0
 
 _ALONE = 1e-3
 """Largest remainder ``1 - leverage`` of a position that counts as determining a combination alone."""
@@ -38,6 +41,8 @@ _BETWEEN = 0.01
 """Probability of the F test below which runs scatter more than the positions within them."""
 _SHORTEST = 6.0
 """Positions per shortest of these times."""
+_FEWEST_SEGMENTS = 4
+"""Fewest segments whose scatter is told."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,9 @@ def find_interval(
     growth = np.ones(u.size)
     if slow is not None and probability < _EXCESS:
         growth = np.sqrt(1.0 + (slow**2 - 1.0) * (1.0 - 1.0 / excess))
-    wide, few = _between_runs(scattered, repetitions, u, degrees)
+    wide, few = np.zeros_like(u), degrees
+    if len({r.run for r in repetitions}) > 1:
+        wide, few = _between_runs(scattered, repetitions, u, degrees)
     u, degrees = np.maximum(u * growth, wide), np.where(wide > u * growth, few, degrees)
     model = np.sqrt(np.maximum(np.diag(estimate.inverse), 0.0))
     rest = triangle(np.vstack(scattered))[-1, -1] ** 2 / max(sum(r.part.count for r in repetitions) - u.size, 1)
@@ -242,8 +249,6 @@ def _between_runs(
     from scipy.special import fdtrc
 
     runs = [r.run for r in repetitions]
-    if len(set(runs)) < 2:
-        return np.zeros_like(u), degrees
     together = [
         triangle(np.vstack([part for part, own in zip(parts, runs, strict=True) if own == k]))
         for k in sorted(set(runs))
@@ -309,3 +314,31 @@ def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, f
     moved = np.einsum("ci,ij,cj->c", effect, covariance, effect)
     factor: Array = np.sqrt(np.maximum(moved / ((effect**2).sum(axis=1) * shown), 1.0))
     return factor
+
+
+def segment_scatter(positions: Sequence[Repetition], values: Array, noise: Noise, run: Run) -> Diagnostics:
+    """Scatter of the mean rates of the positions, over the scatter that the noise explains.
+
+    ``values`` (positions, m) are the column coefficients. The ratio is the root mean square of a residual rate over the
+    standard deviation that its rows give it. A scatter of the segments, stated or estimated, adds its own variance. Where the
+    output turns by m counts beside whole ones in each reading, m readings share their rounding.
+    """
+    if len(positions) < _FEWEST_SEGMENTS or positions[0].block:
+        return Diagnostics()
+    m = values.shape[1]
+    rows = np.array([p.part.factor for p in positions])
+    along, missed = rows[:, :, m], rows[:, :, -1] - np.einsum("jkm,jm->jk", rows[:, :, :m], values)
+    known, count = (along**2).sum(axis=1), count_of(run)
+    if not known.all():
+        return Diagnostics()
+    rate, variance = (along * missed).sum(axis=1) / known, 1.0 / known + [p.variance for p in positions]
+    if count > 0.0:
+        edges, duration = run.segment_edges(), np.array([p.end - p.begin for p in positions])
+        turned, rows = run.output[edges[1:] - 1] - run.output[edges[:-1]], np.diff(edges)
+        beside = np.abs(turned / count - rows * np.round(turned / count / rows))
+        variance += min(12.0 * noise.white, count**2) / np.maximum(1.0, beside) / duration**2
+    return Diagnostics(
+        root_mean_square(rate / np.sqrt(variance)),
+        root_mean_square(rate) / run.scale_factor / G0,
+        root_mean_square(rate / np.sqrt(variance - noise.scatter)) if noise.scatter > 0.0 else None,
+    )

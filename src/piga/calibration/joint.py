@@ -19,10 +19,17 @@ from piga.calibration.model.design import Design
 from piga.calibration.model.identifiability import Examination, refuse_useless
 from piga.calibration.model.request import Request, check_per_run, make_request
 from piga.calibration.model.solution import Estimate, asked_order
-from piga.calibration.residuals import find_residuals, residual_figures, segment_table
 from piga.calibration.sources import SERVO_SOURCE, SourceSummary, listed, sources, stated_scatter, units_of
 from piga.calibration.summary import MergedRuns, RunSummary, repetitions, source_column
-from piga.calibration.weights import RATE, Extra, reduce_positions, residual_increments
+from piga.calibration.weights import (
+    RATE,
+    Extra,
+    find_residuals,
+    reduce_positions,
+    residual_figures,
+    residual_increments,
+    segment_table,
+)
 from piga.errors import ArgumentError, CalibrationError, IdentifiabilityError
 from piga.progress import SILENT, Steps
 from piga.records.calibration.coefficient import Coefficient, StandSource, changes
@@ -72,13 +79,15 @@ class JointFit(MergedRuns):
     @property
     def by_input(self) -> bool:
         """True if the phase of a run is predicted from the input."""
-        return any(live and live.request.phase_source != "output" for live in self.live)
+        return any(live and live.design.request.phase_source != "output" for live in self.live)
 
     def design_of(self, index: int, live: Fit) -> tuple[Design, Array]:
         """Columns of a run with raw data, and their coefficients in each of its segments."""
         own, summary = live.design, self.summaries[index]
         if own.request.terms != summary.terms or own.scale_factor != summary.inner_scale_factor:
-            own = Design(live.run, replace(live.request, terms=summary.terms), summary.inner_scale_factor)
+            own = Design(
+                live.design.run, replace(live.design.request, terms=summary.terms), summary.inner_scale_factor
+            )
         return own, self.values_in_segments(own, self.estimate, index)
 
     def moved(self, change: Array) -> Array:
@@ -138,8 +147,9 @@ def merge_runs(
 def fit_alone(run: Run, request: Request, steps: Steps) -> JointFit:
     """Fit one run from the triangles of its own fit."""
     fit = fit_run(run, request, stated_scatter(run))
+    summary = replace(fit.runs.summaries[0], outliers=fit.outliers)
     steps("finding the intervals")
-    return _useful(merge_runs([fit.summary], request.terms, live=[fit]))
+    return _useful(merge_runs([summary], request.terms, live=[fit]))
 
 
 def fit_jointly(
@@ -183,7 +193,7 @@ def fit_jointly(
     for index, (fit_of_run, summary) in enumerate(zip(live, summaries, strict=True)):
         changed = abs(scale_factor / summary.inner_scale_factor - 1.0) > _INNER_CHANGE
         if fit_of_run and summary.turning and changed:
-            request = replace(fit_of_run.request, terms=summary.terms)
+            request = replace(fit_of_run.design.request, terms=summary.terms)
             again = _summarised(
                 fit_of_run, request, summary.terms, summary.name, summary.undetermined, scale_factor
             )
@@ -301,7 +311,7 @@ def _summarised(
 ) -> RunSummary:
     """The run of a fit, reduced to the given columns; ``scale_factor`` replaces the K inside the regressors."""
     wide = replace(request, terms=columns, per_run=())
-    design = Design(fit.run, wide, scale_factor or fit.design.scale_factor)
+    design = Design(fit.design.run, wide, scale_factor or fit.design.scale_factor)
     rows = reduce_positions(design, fit.noise)
     return replace(
         RunSummary.of_rows(design, fit.noise, rows),
@@ -330,7 +340,7 @@ def summary_of_all_terms(run: Run, request: Request, name: str) -> RunSummary:
     residuals = find_residuals(fit.design, fit.values, fit.noise)
     figures = residual_figures(residuals)
     summary = replace(summary, segments=segment_table(fit.design, residuals), figures=figures)
-    design = Design(fit.run, replace(request, terms=columns, per_run=()), fit.design.scale_factor)
+    design = Design(fit.design.run, replace(request, terms=columns, per_run=()), fit.design.scale_factor)
     return with_sources(summary, design, fit.design, fit.values)
 
 
@@ -444,13 +454,6 @@ def _scores(fit: JointFit, index: int) -> Array:
             columns[:, number] = -summary.sources[number].value * np.sum(products, axis=0)
         result.append(fit.estimate.jacobians[position.group].T @ rows[:, :m].T @ columns)
     return np.array(result)
-
-
-def given_servo_of(fit: JointFit) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-    """Given coefficients of the servo, and by source of Type B the same, moved by it."""
-    given = dict(fit.summaries[0].known_servo)
-    moved = {source.name: dict(source.known_servo) for source, _ in joint_sources(fit.summaries)}
-    return given, {name: servo for name, servo in moved.items() if servo}
 
 
 def sources_of_stand(fit: JointFit, more: Sequence[StandSource] = ()) -> tuple[StandSource, ...]:

@@ -33,7 +33,7 @@ from piga.records.terms import GYRO, SERVO_TERMS, harmonic, si_factor, unit_of
 from piga.results import Array
 from piga.terms import ERROR_TERMS, LOGGED_TERMS
 
-Squares = tuple[float | None, float | None]
+Squares = list[float | None]
 
 _FALSE_ALARMS = 0.002
 """Probability that a record of a right model gets any suggestion, Bonferroni over the candidates."""
@@ -109,18 +109,11 @@ def _is_shown(fit: JointFit, name: str) -> bool:
     """True unless a run lacks the column or its logged input, or the input is the same everywhere."""
     columns = phaseless_columns((name,)) or (name,)
     return all(
-        name not in LOGGED_TERMS or live.run.shows(name)
+        name not in LOGGED_TERMS or live.design.run.shows(name)
         if live
         else {*columns} <= {*summary.positions[0].part.names}
         for live, summary in zip(fit.live, fit.summaries, strict=True)
     )
-
-
-def _common(values: Sequence[float | None]) -> float | None:
-    """The value that all runs have; None if they differ."""
-    held = [value for value in values if value is not None]
-    alike = len(held) == len(values) and max(held) - min(held) <= CONSTANT * max(held)
-    return sum(held) / len(held) if alike else None
 
 
 @dataclass(frozen=True)
@@ -163,11 +156,14 @@ class Candidates:
     def of(cls, fit: JointFit) -> Candidates:
         """The candidates of a fit without slow noise; none where the phase comes from the input."""
         estimate, layout = fit.estimate, fit.layout
-        total, across = (_common([summary.squares[k] for summary in fit.summaries]) for k in (0, 1))
-        squares = total, across
+        squares: list[float | None] = []
+        for of_runs in zip(*(summary.squares for summary in fit.summaries), strict=True):
+            known = [square for square in of_runs if square is not None]
+            alike = len(known) == len(of_runs) and max(known) - min(known) <= CONSTANT * max(known)
+            squares.append(sum(known) / len(known) if alike else None)
         terms = [] if fit.by_input else _candidate_terms(fit, squares)
         names = [name for names in terms for name in names]
-        more = () if fit.by_input else ("k3", "servo_damping") if "p" in fit.local else ("k3",)
+        more = () if fit.by_input else ("k3", "servo_damping") if layout.coupled else ("k3",)
         order = names + [n for n in more if n not in {*names} | held_terms(fit) and _is_shown(fit, n)]
         alone = [layout.coupled and len(one.labels) == 1 for one in fit.summaries for _ in one.labels]
         common = [*range(layout.size), *(layout.size + group for group in np.flatnonzero(alone).tolist())]
@@ -217,7 +213,7 @@ def _wide(fit: JointFit, index: int, extra: Sequence[str]) -> RunSummary:
     live, summary = fit.live[index], fit.summaries[index]
     if live is None:
         return summary
-    run, segments = live.run, sum(len({p.name for p in one.positions}) for one in fit.summaries)
+    run, segments = live.design.run, sum(len({p.name for p in one.positions}) for one in fit.summaries)
     design = fit.design_of(index, live)[0]
     positions = Positions.of(run)
     if not positions.continuous and segments < len(fit.layout.columns) + len(extra[:2]) + _SPARE:

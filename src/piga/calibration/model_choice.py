@@ -184,9 +184,9 @@ def compare_models(
     return ModelComparison(
         sets=tuple(rows),
         observations=weighed.summary.count,
-        noise_terms=weighed.fit.request.terms,
-        angle_rms=weighed.fit.noise.angle_rms,
-        angle_random_walk=weighed.fit.noise.angle_random_walk,
+        noise_terms=weighed.fit.design.request.terms,
+        angle_rms=math.sqrt(weighed.fit.noise.white),
+        angle_random_walk=math.sqrt(weighed.fit.noise.walk),
         best=best,
     )
 
@@ -223,16 +223,16 @@ class _UnionReduction:
     def of(cls, run: Run, request: Request) -> _UnionReduction:
         """Find the noise with the determined part of the union, then reduce the whole union once."""
         fit, _ = fit_determined(run, request)
-        design = Design(fit.run, request, fit.design.scale_factor)
+        design = Design(fit.design.run, request, fit.design.scale_factor)
         noise = replace(fit.noise, scatter=0.0, stated=())
-        triangles, logarithm = reduce_between(design, noise, Positions.of(fit.run).edges)
+        triangles, logarithm = reduce_between(design, noise, Positions.of(fit.design.run).edges)
         return cls(fit, RunSummary.of_rows(design, noise, triangles), logarithm)
 
     def compared(self, terms: tuple[str, ...]) -> TermSet:
         """Figures of one set, or the reason why there are none."""
-        runs, run = MergedRuns.of([self.summary], terms), self.fit.run
+        runs, run = MergedRuns.of([self.summary], terms), self.fit.design.run
         try:
-            check_servo(replace(self.fit.request, terms=terms))
+            check_servo(replace(self.fit.design.request, terms=terms))
             _, estimate = runs.solved()
             named, covariance = runs.named(estimate, estimate.covariance)
             spread = 0.0 if run.temperature is None else float(np.ptp(run.temperature))

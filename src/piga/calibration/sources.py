@@ -73,22 +73,6 @@ def _stand_tables(run: Run) -> list[dict[str, Any]]:
     return list(parts) if isinstance(parts, (list, tuple)) else [stand]
 
 
-def catalogue(run: Run) -> dict[str, str]:
-    """Sources that exist on the stand of a record, with their units. A record without a stand has a logged reference."""
-    listed: dict[str, str] = {}
-    for table in _stand_tables(run):
-        listed |= _OF_STAND.get(str(table.get("kind")), LOGGED)
-    thermal = run.temperature is not None and any(term.endswith("_T") for term in run.model.terms)
-    return listed | ({"temperature": "K"} if thermal else {})
-
-
-def _is_stated(run: Run, name: str) -> bool:
-    """True if ``[uncertainty]`` states a source by its key, or by one that contains it."""
-    other, but = _INSTEAD.get(name, (name, ""))
-    names = (name,) if (run.stand or {}).get("kind") == but else (name, other)
-    return any(getattr(run.uncertainty, key) is not None for key in (*names, *_REPEATED.get(name, ())))
-
-
 def _assumed_sizes(run: Run) -> dict[str, str]:
     """Sources that nobody stated and that have an assumed size, each with its size in words."""
     waived, sizes = run.uncertainty.waived, {}
@@ -134,21 +118,23 @@ class SourceSummary:
 
 @dataclass(frozen=True)
 class Source:
-    """A source of a record, and data of the record in place of its own: one of them, moved by the source."""
+    """A source of a record: by how much it changes the data ``key``, or what replaces data that are no numbers or missing."""
 
     summary: SourceSummary
     run: Run
     key: str
-    values: Callable[[], Any]
+    change: Callable[[], Any]
 
     @property
     def moved(self) -> Run:
         """The record moved by the source, in all segments; made anew at each call, because it is as large as the record."""
-        return replace(self.run, **{self.key: self.values()})
+        values, change = getattr(self.run, self.key), self.change()
+        moved: Any = stored(values + change) if isinstance(values, np.ndarray) else change
+        return replace(self.run, **{self.key: moved})
 
 
-def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
-    """The sources named in the run file's ``[uncertainty]``, moved by ``size`` standard uncertainties.
+def sources(run: Run) -> Iterator[Source]:
+    """The sources named in the run file's ``[uncertainty]``, each with the change by one standard uncertainty.
 
     ``reference_scale`` multiplies the specific force; ``reference_bias`` adds along X0, Y0 and Z0 (three
     independent sources); ``reference_misalignment`` turns it about X0, Y0 and Z0; ``gravity`` acts as a
@@ -162,30 +148,30 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         given = getattr(run.uncertainty, name)
         if given is None:
             continue
-        standard, shape, degrees = standard_uncertainty(given, like, f"[uncertainty] {name}")
-        if standard == 0.0:
+        value, shape, degrees = standard_uncertainty(given, like, f"[uncertainty] {name}")
+        if value == 0.0:
             continue
-        shown, draw = from_si(standard, like), drawn_for(name)
+        shown, draw = from_si(value, like), drawn_for(name)
         whole = SourceSummary(name, shown, like, shape, _finite(degrees), draw=draw)
-        value = size * standard
         if name in ("reference_scale", "reference_repeatability", "gravity"):
-            yield Source(whole, run, "f", partial(_enlarged, run.f, value / G0 if name == "gravity" else value))
+            share = value / G0 if name == "gravity" else value
+            yield Source(whole, run, "f", partial(np.multiply, share, run.f))
         elif name == "timing":
-            yield Source(whole, run, "t", partial(_enlarged, run.t, value))
+            yield Source(whole, run, "t", partial(np.multiply, value, run.t))
         elif name == "temperature":
             if run.temperature is not None:
-                yield Source(whole, run, name, partial(_raised, run.temperature, value))
+                yield Source(whole, run, name, partial(float, value))
         elif name == "vibration":
-            yield Source(whole, run, "f", partial(_raised, run.f, value * np.eye(3)[0]))
+            yield Source(whole, run, "f", partial(np.array, value * np.eye(3)[0]))
         else:
-            for axis, label in zip(np.eye(3), ("X0", "Y0", "Z0"), strict=True):
-                move = _raised if name == "reference_bias" else _turned
+            for axis, label in zip(value * np.eye(3), ("X0", "Y0", "Z0"), strict=True):
                 own = replace(whole, name=f"{name} {label}")
-                yield Source(own, run, "f", partial(move, run.f, value * axis))
-    yield from _assumed(run, size)
+                moved = partial(np.array, axis) if name == "reference_bias" else partial(np.cross, axis, run.f)
+                yield Source(own, run, "f", moved)
+    yield from _assumed(run)
     for parameter in run.servo:
         if parameter.standard > 0.0:
-            value = parameter.value + size * parameter.standard
+            value = parameter.value + parameter.standard
             entries = tuple(replace(p, value=value) if p is parameter else p for p in run.servo)
             name = SERVO_SOURCE + parameter.name.replace("_", " ")
             own = SourceSummary(
@@ -203,43 +189,26 @@ def sources(run: Run, size: float = 1.0) -> Iterator[Source]:
         own = SourceSummary(
             change.name, float(number), unit or "1", change.distribution, degrees_of_freedom, draw=change.draw
         )
-        yield Source(own, run, "f", partial(_by_stand, run.f, size, change.change))
+        yield Source(own, run, "f", partial(change.change, slice(None)))
 
 
-def _assumed(run: Run, size: float) -> Iterator[Source]:
+def _assumed(run: Run) -> Iterator[Source]:
     """Sources with an assumed size: the rotation of the Earth, upwards and across, and the height of the site."""
     sizes = _assumed_sizes(run)
     if "earth_rate" in sizes:
         shown = EARTH_RATE / math.sqrt(3.0)
-        upwards = size * shown / G0 * run.f
+        upwards = shown / G0 * run.f
         across = np.column_stack([-upwards[:, 1], upwards[:, 0], upwards[:, 2]])
         for name, rate in (("upwards", upwards), ("across", across)):
             own = SourceSummary(f"earth_rate {name}", shown, "rad/s", "rectangular")
             yield Source(own, run, "base_rate", partial(stored, rate))
     if "height" in sizes:
         own = SourceSummary("height", HEIGHT, "m")
-        yield Source(own, run, "f", partial(_enlarged, run.f, -size * _GRADIENT * HEIGHT))
+        yield Source(own, run, "f", partial(np.multiply, -_GRADIENT * HEIGHT, run.f))
 
 
 def _finite(degrees: float) -> float | None:
     return degrees if math.isfinite(degrees) else None
-
-
-def _enlarged(values: Array, share: float) -> Array:
-    return stored(values + share * values)
-
-
-def _raised(values: Array, by: Array | float) -> Array:
-    return stored(values + by)
-
-
-def _turned(f: Array, by: Array) -> Array:
-    """The specific force with the reference turned about its axes (first order)."""
-    return stored(f + np.cross(by, f))
-
-
-def _by_stand(f: Array, size: float, change: Callable[[slice], Array]) -> Array:
-    return stored(f + size * change(slice(None)))
 
 
 def stated_scatter(run: Run) -> tuple[float, ...]:
@@ -259,24 +228,31 @@ def stated_scatter(run: Run) -> tuple[float, ...]:
 
 
 def listed(run: Run) -> tuple[StandSource, ...]:
-    """The sources that exist on the stand of a record, each with its status; without their effects."""
-    waived, units = run.uncertainty.waived, catalogue(run)
-    result = [
-        StandSource(
-            name,
-            "waived" if name in waived else "stated" if _is_stated(run, name) else "unstated",
-            unit,
-            reason=waived.get(name, ""),
-        )
-        for name, unit in units.items()
-    ]
+    """The sources that exist on the stand of a record, each with its status; without their effects.
+
+    A record without a stand has a logged reference. A source is stated by its key, or by one that contains it.
+    """
+    waived, units, result = run.uncertainty.waived, dict[str, str](), list[StandSource]()
+    for table in _stand_tables(run):
+        units |= _OF_STAND.get(str(table.get("kind")), LOGGED)
+    if run.temperature is not None and any(term.endswith("_T") for term in run.model.terms):
+        units["temperature"] = "K"
+    for name, unit in units.items():
+        other, but = _INSTEAD.get(name, (name, ""))
+        names = (name,) if (run.stand or {}).get("kind") == but else (name, other)
+        keys = (*names, *_REPEATED.get(name, ()))
+        stated = any(getattr(run.uncertainty, key) is not None for key in keys)
+        if name in waived:
+            result.append(StandSource(name, "waived", unit, reason=waived[name]))
+        else:
+            result.append(StandSource(name, "stated" if stated else "unstated", unit))
     result += [StandSource(name, "waived", reason=why) for name, why in waived.items() if name not in units]
     result += [StandSource(name, "assumed", reason=words) for name, words in _assumed_sizes(run).items()]
     return tuple(result)
 
 
-def units_of(run: Run, size: float = 1.0) -> list[Source]:
-    """``size`` units of each source that nobody stated, and 1 ug/g^3 of a servo, averaged over turns of the output.
+def units_of(run: Run) -> list[Source]:
+    """One unit of each source that nobody stated, and 1 ug/g^3 of a servo, averaged over turns of the output.
 
     Such a servo lowers the output, as a reference that is as much too large. Sources of a stand that does not describe the
     record are left out: their effects are not known.
@@ -293,16 +269,16 @@ def units_of(run: Run, size: float = 1.0) -> list[Source]:
     except RunFileError:
         general = {name: unit for name, unit in units.items() if name in UNCERTAINTY_UNITS}
         plain = replace(plain, uncertainty=UncertaintyTable(**general, waived=waived))
-    unstated = [replace(source, run=run) for source in sources(plain, size)]
+    unstated = [replace(source, run=run) for source in sources(plain)]
     by_servo = SourceSummary("servo", 1.0, "ug/g^3")
-    return [*unstated, Source(by_servo, run, "f", partial(_bent, run))]
+    return [*unstated, Source(by_servo, run, "f", partial(_bend, run))]
 
 
-def _bent(run: Run) -> Array:
-    """The specific force with 1 ug/g^3 of a servo, averaged over turns of the output."""
-    f = np.array(run.f)
-    f[:, 0] += 1e-6 * si_factor("servo") * f[:, 0] * across_squared(run, slice(None))
-    return stored(f)
+def _bend(run: Run) -> Array:
+    """The change of the specific force by 1 ug/g^3 of a servo, averaged over turns of the output."""
+    change = np.zeros_like(run.f)
+    change[:, 0] = 1e-6 * si_factor("servo") * run.f[:, 0] * across_squared(run, slice(None))
+    return change
 
 
 def gravity_in_words(run: Run) -> str:

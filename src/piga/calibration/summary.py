@@ -379,11 +379,6 @@ class MergedRuns:
         held = {name: [s.ranges[name] for s in self.summaries if name in s.ranges] for name in names}
         return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in held.items()}
 
-    @property
-    def local(self) -> Names:
-        """Columns that turn with the phase of a group."""
-        return self.layout.columns[: self.layout.local]
-
     def first_group(self, index: int) -> int:
         """Number of the first phase group of a run."""
         return sum(len(summary.labels) for summary in self.summaries[:index])
@@ -391,7 +386,8 @@ class MergedRuns:
     def wanted(self, index: int) -> Names:
         """Columns of a run in the fit. The ``k1`` of another run may be its scale factor."""
         held, shared = self.summaries[index].positions[0].part.names, self.shared[index]
-        return (*self.local, *("scale_factor" if n == "k1" and "k1" not in held else n for n in shared))
+        local = self.layout.columns[: self.layout.local]
+        return (*local, *("scale_factor" if n == "k1" and "k1" not in held else n for n in shared))
 
     def _moved_servo(self, index: int) -> dict[str, dict[str, float]]:
         """Changes of the given servo by each source of a run that moves it, by its column.
@@ -438,21 +434,18 @@ class MergedRuns:
         result: list[Repetition] = []
         for index, summary in enumerate(self.summaries):
             held = self.positions(index, estimate, beside)
-            if summary.holds_one_position and len(self.summaries) > 1:
+            if len(self.summaries) > 1 and summary.holds_one_position:
                 whole = Reduction.stacked([block.part for block in held])
                 held = [replace(held[0], part=whole, name=summary.name, end=held[-1].end, block=False)]
             result += held
         return result
 
-    def parts(self) -> list[Reduction]:
-        """Triangles ``[columns | y]`` of all phase groups, with the scatter of the positions in their weights."""
-        held = [p for index in range(len(self.summaries)) for p in self.positions(index)]
-        alone = [position.part.without((RATE,), position.variance) for position in held]
-        return merged_groups(alone, tuple(position.group for position in held))
-
     def solved(self) -> tuple[Examination, Estimate]:
         """Examination and estimate; an error if the runs cannot separate what is asked."""
-        parts, runs = self.parts(), len(self.summaries)
+        runs = len(self.summaries)
+        held = [position for index in range(runs) for position in self.positions(index)]
+        alone = [position.part.without((RATE,), position.variance) for position in held]
+        parts = merged_groups(alone, tuple(position.group for position in held))
         if self.layout.coupled and self.layout.servo_columns:
             several = all(len(summary.labels) > 1 for summary in self.summaries)
             refuse_if_servo_alike(self.layout, parts, per_segment=several, runs=runs)

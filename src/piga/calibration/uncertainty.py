@@ -177,7 +177,7 @@ def monte_carlo_intervals(fit: JointFit, budget: Budget) -> tuple[tuple[Coeffici
     records with several phases, and methods other than whitened least squares always use the first order.
     """
     live, coefficients = fit.only, budget.coefficients
-    wanted = "gum" if live is None else live.run.estimation.uncertainty
+    wanted = "gum" if live is None else live.design.run.estimation.uncertainty
     weak = any(c.name == "tan_beta" and c.value < _DOUBTFUL * c.std for c in coefficients)
     able = live is not None and live.design.mode == "increments" and len(fit.estimate.jacobians) == 1
     if wanted == "gum" or not able or (wanted == "auto" and not weak):

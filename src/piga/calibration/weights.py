@@ -1,4 +1,4 @@
-"""Weights of the rows of a record: white angle noise, random walk, and a scatter of the rates of the positions.
+"""Weights of the rows of a record: white angle noise, random walk, a scatter of the rates of the positions; and residuals.
 
 The noise of an angle increment over h seconds has the variance ``2 r + q h``, with ``-r`` between neighbours: r is white
 noise of the angle, q a random walk. Each position may also have a rate error of its own, of variance tau. The three levels
@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piga._kernels.estimation import innovation_weights, rate_sums, whiten
-from piga.calibration.model.design import Block, Design, joined_rows
+from piga.calibration.model.design import Block, Design, MeanDesign, joined_rows
 from piga.calibration.model.reduction import Reduction, triangle
-from piga.records.arrays import empty, largest_size, spans, stored
+from piga.records.arrays import changes, empty, largest_size, middles, spans, stored
 from piga.records.calibration.coefficient import Level
+from piga.records.calibration.diagnostics import COUNTED, Diagnostics, Residuals, SegmentSummary
 from piga.records.run import Run
+from piga.records.terms import integral_unit
 from piga.results import Array
 
 RATE = "rate"
@@ -45,21 +47,6 @@ class Noise:
     scatter: Level = 0.0
     stated: tuple[Level, ...] = ()
     counted: tuple[Level, ...] = ()
-
-    @property
-    def angle_rms(self) -> float:
-        """Standard deviation of the white angle noise [rad]."""
-        return math.sqrt(self.white)
-
-    @property
-    def angle_random_walk(self) -> float:
-        """Angle random walk [rad/sqrt(s)]."""
-        return math.sqrt(self.walk)
-
-    @property
-    def segment_scatter(self) -> float:
-        """Standard deviation of the rate from position to position [rad/s]."""
-        return math.sqrt(self.scatter)
 
     def stated_rates(self, count: int) -> tuple[float, ...]:
         """The part of :meth:`rate_variances` that the run file states."""
@@ -199,8 +186,9 @@ def reduce_between(
     """
     names = (*design.names, RATE, *(() if extra is None else extra.names))
     parts = [Reduction.empty(names) for _ in edges[:-1]]
-    design, edges = design.means, design.means.rows_of(edges)
-    own = Noise(*design.noise_of_rows(noise.white, noise.walk))
+    design, own = design.means, Noise(noise.white, noise.walk)
+    if isinstance(design, MeanDesign):
+        edges, own = design.rows_of(edges), Noise(*design.noise_of_rows(noise.white, noise.walk))
     whitener = Whitener(design.mode, own, len(names) + 1, design.run.median_step)
     for block in design.blocks():
         more = [] if extra is None else [extra.columns(block)]
@@ -382,3 +370,189 @@ def find_scatter(parts: Sequence[Reduction], noise: Noise, *, phases: bool = Fal
     )
     better = float(found.fun) < deviance(0.0)
     return replace(noise, scatter=unit * math.exp(float(found.x)) if better else 0.0)
+
+
+# -- residuals -----------------------------------------------------------------------------------------------
+
+LAGS = 20
+"""Lags of the portmanteau test."""
+_WHITE = 1e-3
+"""Probability below which whitened residuals are called not white."""
+_SHARED_ROUNDING = 1.0 / 3.0
+"""Variance of the noise in counts squared below which neighbouring readings may share their rounding: above it, what is left
+of the line of the rounding is below 1 % of a count, ``exp(-2 pi^2 (1/3 - 1/12))``."""
+
+
+def residual_angles(residuals: Residuals, kind: str) -> Residuals:
+    """The residuals as angles (of a direct instrument: its count): those of ``kind`` rate integrated over each segment."""
+    if kind != "rate":
+        return residuals
+    step = np.diff(residuals.t, prepend=residuals.t[:1])
+    step[np.diff(residuals.segment, prepend=residuals.segment[:1]) != 0] = 0.0
+    before, after = (
+        np.cumsum(step * 0.5 * (rate + np.concatenate((rate[:1], rate[:-1]))))
+        for rate in (residuals.before, residuals.after)
+    )
+    return replace(residuals, before=before, after=after, unit=integral_unit(residuals.unit))
+
+
+def count_size(psi: Array) -> float:
+    """Angle of one count [rad], if all angles lie on the grid of one count; else 0."""
+    part = np.unique(psi[np.isfinite(psi)][:20_000])
+    steps = np.unique(np.append(np.diff(part), 0.0))
+    steps = np.diff(steps)[np.diff(steps) > 1e-9]  # counts by which two distances of angles differ
+    if not steps.size:
+        return 0.0
+    reach = float(part[-1] - part[0])
+    count = reach / round(reach / float(steps.min()))
+    off = (part - part[0]) / count
+    return count if float(np.abs(off - np.round(off)).max()) < 0.01 else 0.0
+
+
+def find_residuals(design: Design, values: Array, noise: Noise) -> Residuals:
+    """Residual angle of every sample before and after calibration, and the whitened residual.
+
+    'Before' is the nominal instrument: ``alpha' = K a_x - Omega_x`` with the nominal K. The residual angle of every
+    stretch has zero mean, because the zero of a stretch contains no information. For a rate log the residuals are rates
+    [rad/s].
+    """
+    run = design.run
+    d, h = residual_increments(design, values)
+    before = _nominal_increments(design)
+    whitened = Whitener(design.mode, noise, 1, run.median_step).column(d, h)
+    variances, segment = noise.rate_variances(len(run.labels)), run.segment_index
+    if design.mode == "increments" and variances.any():
+        rates = Whitener(design.mode, noise, 1, run.median_step).column(h, h)
+        square = np.bincount(segment, rates**2, minlength=variances.size)
+        product = np.bincount(segment, rates * whitened, minlength=variances.size)
+        whitened -= (rate_share(variances, square) * product)[segment] * rates
+    if not design.point:
+        stretch_angles(d, run.begins)
+        stretch_angles(before, run.begins)
+    columns = (run.row, run.t, design.phase_angle, run.f[:, 0], before, d, whitened, segment)
+    return Residuals(*columns, unit=run.output_unit)
+
+
+def _nominal_increments(design: Design) -> Array:
+    run = design.run
+    if design.point:
+        step = run.output - run.scale_factor * run.f[:, 0]
+        if run.base_rate is not None:
+            step += run.base_rate[:, 0]
+        return stored(step)
+    h = changes(run.t)
+    turn = middles(run.f[:, 0])
+    turn *= -run.scale_factor
+    if run.base_rate is not None:
+        turn += middles(run.base_rate[:, 0])
+    turn *= h
+    del h
+    step = changes(run.output)
+    step += turn
+    step[run.begins] = 0.0
+    return stored(step)
+
+
+def stretch_angles(increments: Array, begins: NDArray[np.bool_]) -> None:
+    """Running sums of increments (..., n); the mean of every stretch is subtracted. In place."""
+    np.cumsum(increments, axis=-1, out=increments)
+    starts = np.union1d(0, np.flatnonzero(begins))
+    sizes = np.diff(np.append(starts, begins.size))
+    increments -= np.repeat(np.add.reduceat(increments, starts, axis=-1) / sizes, sizes, axis=-1)
+
+
+def segment_table(design: Design, residuals: Residuals) -> tuple[SegmentSummary, ...]:
+    """One row per segment."""
+    run, rows = design.run, []
+    for left, right in pairwise(run.segment_edges().tolist()):
+        part, inside = slice(left, right), ~run.begins[left + 1 : right]
+        step, output = np.diff(run.t[part])[inside], run.output[part]
+        moved = step * middles(output)[1:][inside] if design.point else np.diff(output)[inside]
+        rows.append(
+            SegmentSummary(
+                label=run.labels[int(run.segment_index[left])],
+                rows=right - left,
+                duration=float(step.sum()),
+                mean_a_x=float(run.f[part, 0].mean()),
+                turns=None if run.direct else float(moved.sum()) / (2.0 * math.pi),
+                rms=root_mean_square(residuals.after[part]),
+                rms_before=root_mean_square(residuals.before[part]),
+                max_after=largest_size(residuals.after[part]),
+            )
+        )
+    return tuple(rows)
+
+
+def root_mean_square(values: Array) -> float:
+    """Root mean square of values (n,)."""
+    return math.sqrt(float(values @ values) / values.size)
+
+
+def residual_figures(residuals: Residuals) -> dict[str, float]:
+    """Root mean square and largest residual before and after (the units of the residuals)."""
+    return {
+        "residual_rms": root_mean_square(residuals.after),
+        "residual_rms_before": root_mean_square(residuals.before),
+        "residual_max_before": largest_size(residuals.before),
+        "residual_max_after": largest_size(residuals.after),
+    }
+
+
+def diagnose(innovations: Sequence[Array], plain: Diagnostics, *, rounded: bool) -> Diagnostics:
+    """``plain`` with tests of the whitened residuals of all runs: variance, lag-1 correlation, portmanteau, shape.
+
+    ``ljung_box`` is the Ljung-Box statistic over 20 lags with its probability. ``excess_kurtosis`` and ``skewness`` are
+    0 for normal residuals. ``rounded``: rounding to whole counts may correlate them; a test that fails then says nothing.
+    """
+    from scipy.special import gammaincc
+
+    x = np.concatenate([own[own != 0.0] for own in innovations])
+    n = x.size
+    if n < 50:
+        return replace(plain, samples=n)
+    x -= x.mean()
+    square = x * x
+    sums = float(square.sum()), float(square @ x), float(square @ square)
+    variance = sums[0] / n
+    lags = min(LAGS, n // 5)
+    products = lagged_products(x, lags)
+    correlation = products[1:] / products[0]
+    statistic = float(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
+    probability = float(gammaincc(0.5 * lags, 0.5 * statistic))
+    white = probability > _WHITE
+    return replace(
+        plain,
+        samples=n,
+        variance=variance,
+        lag1_correlation=float(correlation[0]),
+        ljung_box=statistic,
+        ljung_box_lags=lags,
+        ljung_box_probability=probability,
+        skewness=sums[1] / n / variance**1.5,
+        excess_kurtosis=sums[2] / n / variance**2 - 3.0,
+        verdict="white"
+        if white
+        else COUNTED
+        if rounded
+        else "not white: the model or the noise description is incomplete",
+    )
+
+
+def is_rounded(run: Run, noise: Noise) -> bool:
+    """True if the noise of the readings is so small that their rounding to whole counts may correlate."""
+    return (
+        run.kind != "rate"
+        and noise.white + noise.walk * run.median_step < _SHARED_ROUNDING * count_of(run) ** 2
+    )
+
+
+def count_of(run: Run) -> float:
+    """Angle of one count [rad]: as stated, or seen from readings that all lie on the grid of one; else 0."""
+    if run.resolution > 0.0 or run.kind == "rate":
+        return run.resolution
+    return count_size(run.output if run.left_out is None else run.output[~run.left_out])
+
+
+def lagged_products(x: Array, lags: int) -> Array:
+    """``sum x[i] x[i + k]`` for k = 0 .. lags."""
+    return np.array([x[: max(x.size - k, 0)] @ x[k:] for k in range(lags + 1)])

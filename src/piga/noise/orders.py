@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.residuals import count_size
+from piga.calibration.weights import count_size
 from piga.records.calibration.diagnostics import Residuals
 from piga.results import Array, Result
 

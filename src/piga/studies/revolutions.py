@@ -52,9 +52,8 @@ def whole_turns(run: Run) -> Run:
             remedy="calibrate it as it is",
         )
     with suppress(CalibrationError, IdentifiabilityError):
-        run = fit_run(
-            run, make_request(run, method="information", phases="per-segment", phase_source="output")
-        ).run
+        request = make_request(run, method="information", phases="per-segment", phase_source="output")
+        run = fit_run(run, request).design.run
     positions: list[tuple[int, slice, Array, float]] = []
     left_out: dict[str, list[str]] = {}
     for index, label in enumerate(run.labels):

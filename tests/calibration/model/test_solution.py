@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 import piga
 from piga.calibration.model import solution
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import (
     Estimate,
     Layout,
@@ -190,7 +190,7 @@ def test_common_amplitudes_have_the_least_sum_of_squares(
     for seed in range(12):
         layout, factors, truth = grouped(seed, orders, uneven)
         names = layout.columns
-        parts = [Reduction.of_rows(names, factor, 100) for factor in factors]
+        parts = [Reduction(names, triangle(factor), 100) for factor in factors]
         estimate = solve_parts(layout, parts)
 
         def residual(x: np.ndarray, layout: Layout = layout, factors: list[np.ndarray] = factors) -> np.ndarray:
@@ -228,7 +228,7 @@ def test_phases_of_groups_do_not_make_the_coupling_larger(size: float, mean: flo
                 size * np.array([np.cos(phase), np.sin(phase)]), 1.0
             ) + rng.standard_normal(3)
             factor[3, 3] = np.sqrt(rng.chisquare(rows))
-            parts.append(Reduction.of_rows(("p", "q", "k0"), factor, rows + 3))
+            parts.append(Reduction(("p", "q", "k0"), triangle(factor), rows + 3))
         estimate = solve_parts(layout, parts)
         errors.append((estimate.amplitudes[0] - size) / np.sqrt(estimate.covariance[0, 0]))
     assert abs(np.mean(errors)) < mean

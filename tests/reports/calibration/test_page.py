@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration.residuals import residual_angles
+from piga.calibration.weights import residual_angles
 from piga.data import copy_example
 from piga.reports.calibration.page import brief
 from piga.reports.calibration.page import page as calibration_page

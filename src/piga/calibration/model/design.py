@@ -135,21 +135,12 @@ class Design:
         count = len(run.labels)
         self.groups = tuple(range(count)) if self.per_segment else (0,) * count
         self.point = run.kind == "rate"
+        self.mode = "samples" if self.point else "rates" if self.request.method == "rate" else "increments"
         self._force = np.ascontiguousarray(run.f.T)
         self.phase_angle = phase_angle(run, self.request, self.scale_factor)
         self.time_reference = 0.5 * float(run.t[0] + run.t[-1])
         self._ranges = _ranges(run)
         self._check_bend()
-
-    @property
-    def mode(self) -> str:
-        """Mode of the weights of the rows (:class:`piga.calibration.weights.Whitener`)."""
-        return "samples" if self.point else "rates" if self.request.method == "rate" else "increments"
-
-    @property
-    def has_phases(self) -> bool:
-        """True if there is more than one phase."""
-        return self.per_segment and len(self.run.labels) > 1
 
     @property
     def rows(self) -> int:
@@ -224,14 +215,6 @@ class Design:
     def means_of(self, values: Array) -> Array:
         """Values of the samples, one for each row of the design."""
         return values
-
-    def noise_of_rows(self, white: float, walk: float) -> tuple[float, float]:
-        """Variance of white noise and random walk of the rows, from those of the record."""
-        return white, walk
-
-    def rows_of(self, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Rows of the design from samples of the record."""
-        return samples
 
     def beside(self, request: Request) -> Iterator[Block]:
         """Blocks of the columns of another request, row by row beside those of this design.

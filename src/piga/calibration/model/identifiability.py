@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import (
     PHASELESS,
     STIFFNESS_COLUMNS,
@@ -95,11 +95,6 @@ class Examination:
     asked: tuple[str, ...] = ()
 
 
-def _term_of(column: str) -> str:
-    """The term of a linear column; ``p`` and ``q`` belong to the coupling."""
-    return "tan_beta" if column in ("p", "q") else column
-
-
 def examine_parts(layout: Layout, parts: list[Reduction], phases: Sequence[float] = ()) -> Examination:
     """Rank and condition of the request for all phase groups together.
 
@@ -107,21 +102,20 @@ def examine_parts(layout: Layout, parts: list[Reduction], phases: Sequence[float
     columns of all groups count as one direction each, and those of a servo term at the ``phases`` as one.
     """
     if layout.servo_columns:
-        names = (*layout.columns[: layout.turning], *layout.servo)
+        turning = (*layout.columns[: layout.turning], *layout.servo)
         parts = [
-            at_phase(part, (*names, *part.names[layout.local :]), phase)
+            at_phase(part, (*turning, *part.names[layout.local :]), phase)
             for part, phase in zip(parts, phases or (0.0,) * len(parts), strict=True)
         ]
-        layout = layout.with_servo_among_keys()
-    names = layout.columns
+        count = len(layout.servo)  # combined at a phase, the servo terms are shared columns
+        tails = tuple(np.append(np.arange(count), count + tail) for tail in layout.tails)
+        keys = (*((name, None) for name in layout.servo), *layout.keys)
+        layout = replace(layout, keys=keys, tails=tails, servo=(), given=())
+    names = ["tan_beta" if name in ("p", "q") else name for name in layout.columns]
     factor = (_aligned(layout, parts) if len(parts) > 1 else parts[0]).factor[:-1, :-1]
     norms = np.linalg.norm(factor, axis=0)
-    zero = [
-        _term_of(name)
-        for name, norm in zip(names, norms, strict=True)
-        if norm <= 1e-14 * max(norms.max(), 1e-300)
-    ]
-    asked = tuple(dict.fromkeys(map(_term_of, names)))
+    zero = [name for name, norm in zip(names, norms, strict=True) if norm <= 1e-14 * max(norms.max(), 1e-300)]
+    asked = tuple(dict.fromkeys(names))
     if zero:
         return Examination(float("inf"), tuple(dict.fromkeys(zero)), asked)
     _, singular, right = np.linalg.svd(factor / norms)
@@ -130,9 +124,7 @@ def examine_parts(layout: Layout, parts: list[Reduction], phases: Sequence[float
         return Examination(condition, (), asked)
     weights = np.linalg.norm(right[singular <= _RANK * singular[0]], axis=0)
     named = [
-        _term_of(name)
-        for name, weight in zip(names, weights, strict=True)
-        if weight > _NAMED_WEIGHT * weights.max()
+        name for name, weight in zip(names, weights, strict=True) if weight > _NAMED_WEIGHT * weights.max()
     ]
     return Examination(condition, tuple(dict.fromkeys(named)), asked)
 
@@ -148,7 +140,7 @@ def _aligned(layout: Layout, parts: list[Reduction]) -> Reduction:
             cosine, sine = np.cos(phase), np.sin(phase)
             turned[:, :2] = turned[:, :2] @ np.array([[cosine, -sine], [sine, cosine]])
     rows = layout.stacked(factors).reshape(-1, len(layout.columns) + 1)
-    return Reduction.of_rows(layout.columns, rows, 0)
+    return Reduction(layout.columns, triangle(rows))
 
 
 def refuse_if_confounded(examination: Examination, runs: int = 1) -> None:

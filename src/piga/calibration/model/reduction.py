@@ -45,11 +45,6 @@ class Reduction:
         return cls(names, np.zeros((len(names) + 1, len(names) + 1)))
 
     @classmethod
-    def of_rows(cls, names: tuple[str, ...], rows: Array, count: int) -> Reduction:
-        """Triangle of ``rows`` (n, m + 1), ``count`` of which contain information."""
-        return cls(names, triangle(rows), count)
-
-    @classmethod
     def stacked(cls, parts: Sequence[Reduction]) -> Reduction:
         """Triangle of the rows of several triangles with the same columns; ``parts`` is not empty.
 
@@ -65,7 +60,7 @@ class Reduction:
                     remedy="merge summaries that were made with the same terms",
                 )
         rows = np.vstack([part.factor for part in parts])
-        return cls.of_rows(parts[0].names, rows, sum(part.count for part in parts))
+        return cls(parts[0].names, triangle(rows), sum(part.count for part in parts))
 
     def absorb(self, columns: Array, *, count: int | None = None) -> None:
         """Absorb rows given as ``columns`` (m + 1, n), last one y.
@@ -84,11 +79,11 @@ class Reduction:
     def select(self, names: tuple[str, ...]) -> Reduction:
         """The triangle for some of the columns, as if the other columns had never existed."""
         chosen = [*(self.names.index(name) for name in names), len(self.names)]
-        return self.of_rows(names, self.factor[:, chosen], self.count)
+        return Reduction(names, triangle(self.factor[:, chosen]), self.count)
 
     def mixed(self, names: tuple[str, ...], matrix: Array) -> Reduction:
         """The triangle for combinations of the columns: ``matrix`` (m + 1, len(names) + 1), observation last."""
-        return self.of_rows(names, self.factor @ matrix, self.count)
+        return Reduction(names, triangle(self.factor @ matrix), self.count)
 
     def without(self, names: tuple[str, ...], variance: float = math.inf) -> Reduction:
         """The triangle without these columns: their coefficients are independent, have zero mean and ``variance``.
@@ -107,7 +102,7 @@ class Reduction:
         """The triangle after ``multiple`` times a column is subtracted from the observations."""
         rows = self.factor.copy()
         rows[:, -1] -= multiple * rows[:, self.names.index(name)]
-        return self.of_rows(self.names, rows, self.count)
+        return Reduction(self.names, triangle(rows), self.count)
 
     def solve(self) -> tuple[Array, Array, float]:
         """Estimate (m,), inverse information matrix (m, m) and residual sum of squares.

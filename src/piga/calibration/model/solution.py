@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piga.calibration.model.reduction import Reduction
+from piga.calibration.model.reduction import Reduction, triangle
 from piga.errors import CalibrationError
 from piga.records.calibration.coefficient import Coefficient, short_way
 from piga.records.terms import GYRO, si_factor, unit_of
@@ -99,13 +99,6 @@ class Layout:
     tails: tuple[NDArray[np.int64], ...]
     servo: tuple[str, ...] = ()
     given: tuple[tuple[str, float], ...] = ()
-
-    def with_servo_among_keys(self) -> Layout:
-        """The layout of columns that are combined at a phase: the servo terms are shared columns."""
-        count = len(self.servo)
-        tails = tuple(np.append(np.arange(count), count + tail) for tail in self.tails)
-        keys = (*((name, None) for name in self.servo), *self.keys)
-        return replace(self, keys=keys, tails=tails, servo=(), given=())
 
     @property
     def servo_columns(self) -> tuple[str, ...]:
@@ -271,7 +264,7 @@ def solve_parts(layout: Layout, parts: list[Reduction]) -> Estimate:
     total = parts[0]
     if len(parts) > 1:
         rows = layout.stacked([part.factor for part in parts]).reshape(-1, len(layout.columns) + 1)
-        total = Reduction.of_rows(layout.columns, rows, sum(part.count for part in parts))
+        total = Reduction(layout.columns, triangle(rows), sum(part.count for part in parts))
     linear, covariance, cost = total.solve()
     amplitudes, phases = linear, np.zeros(0)
     if layout.coupled:

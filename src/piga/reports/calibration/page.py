@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from piga.calibration.residuals import lagged_products, residual_angles
+from piga.calibration.weights import lagged_products, residual_angles
 from piga.errors import CalibrationError
 from piga.noise.deviations import NoiseLevel, allan_deviation
 from piga.noise.orders import OrderSpectrum, order_spectrum, ripple, segment_slices

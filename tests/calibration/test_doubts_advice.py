@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import piga
-from piga.calibration import advice
+from piga.calibration.doubts import advise
 from piga.calibration.model.request import make_request
 from piga.errors import PigaError
 from tests.calibration.made.scenarios import COUPLED, SCENARIOS, Scenario, around
@@ -28,7 +28,7 @@ STRONG = Scenario(
 def advised(run, terms=COUPLED):
     """The advice itself, whether or not a calibration would ask for it."""
     run = replace(run, source="run.csv")
-    return " | ".join(advice.advise(run, make_request(run, terms)))
+    return " | ".join(advise(run, make_request(run, terms)))
 
 
 @pytest.fixture(scope="module")
