@@ -40,7 +40,9 @@ def outcomes(name: str, tests: int, workers: int = 0) -> list[Tested]:
 
 def held(results: list[Tested]) -> np.ndarray:
     """Share of the intervals that hold, for each coefficient."""
-    low, high, truth = (np.array([r.columns[key] for r, _ in results]) for key in ("low", "high", "truth"))
+    low, high, truth = (
+        np.array([[one[key] for one in r.rows] for r, _ in results]) for key in ("low", "high", "truth")
+    )
     return np.mean((low <= truth) & (truth <= high), axis=0)
 
 
