@@ -35,7 +35,7 @@ def test_truth_is_recovered_within_its_uncertainty(noise: str, method: str) -> N
     assert all(abs(z) < 4.0 for z in errors(calibration).values()), errors(calibration)
     assert calibration["tan_beta"].std < 4e-6
     assert calibration.surplus_observations == run.size - len(run.labels) - 6
-    assert method != "information" or noise == "counts" or calibration.diagnostics.segment_scatter_ratio < 1.4
+    assert noise == "counts" or 0.5 < calibration.diagnostics.segment_scatter_ratio < 1.5
 
 
 def test_per_segment_phases_share_tan_beta() -> None:

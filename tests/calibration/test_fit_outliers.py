@@ -43,6 +43,19 @@ def test_spikes_are_left_out(share: float, size: float) -> None:
         assert calibration[name].value == pytest.approx(clean[name].value, abs=clean[name].std)
 
 
+def test_spikes_are_left_out_where_the_positions_scatter() -> None:
+    """Directions that are wrong by 200 arcsec neither hide spikes nor look like some."""
+    rng = np.random.default_rng(36)
+    run = record(rng, **NOISE)
+    rate = 1e-3 * 0.0906 * G0 * rng.standard_normal(len(run.labels))[run.segment_index]
+    run = replace(run, output=run.output + np.cumsum(rate * np.diff(run.t, prepend=run.t[0]) * ~run.begins))
+    where = np.sort(rng.choice(run.size, 12, replace=False))
+    output = run.output.copy()
+    output[where] += 30.0 * NOISE["white"] * rng.choice((-1.0, 1.0), where.size)
+    rows = {outlier.row for outlier in piga.calibrate(replace(run, output=output), TERMS).outliers}
+    assert rows == set(run.row[where].tolist())
+
+
 def test_jumps_and_stuck_readings_have_their_times() -> None:
     run = record(np.random.default_rng(32), **NOISE)
     output = run.output.copy()

@@ -180,7 +180,7 @@ def _part_of(
         if not design.point:
             positions = fit.positions(index, fit.estimate)
             each = values[Positions.of(live.design.run).segments]
-            scatter = segment_scatter(positions, each, summary.noise, live.design.run)
+            scatter = segment_scatter(positions, each, summary.noise, design)
         if summary.kind != kind:
             residuals = residual_angles(residuals, "rate")
         segments, figures = segment_table(design, residuals), residual_figures(residuals)

@@ -129,6 +129,8 @@ def fit_run(run: Run, request: Request, stated: tuple[float, ...] = ()) -> Fit:
     plain.design.forget()
     robust = residual_increments(raw, _robust_values(raw, plain.runs.layout))
     misses = _Misses(*robust, raw.point, parameters)
+    if fit.noise.rate_variances(len(run.labels)).any():
+        misses = _without_rates(misses, Positions.of(run).edges, resolution)
     raw.forget()
     flags = _find_flags(misses, _first_noise(misses), resolution)
     for _ in range(_ROUNDS):
@@ -241,6 +243,23 @@ def limit(count: int, parameters: int) -> float:
 
     share = 0.5 * _FALSE_ALARMS / max(count, 100)
     return float(-stdtrit(max(count - parameters, 1), share))
+
+
+def _without_rates(misses: _Misses, edges: NDArray[np.int64], resolution: float) -> _Misses:
+    """The residuals less the mean rate of each position between ``edges``, where the rates of the positions scatter.
+
+    Increments far from the median of their position do not count. A wrong reading therefore does not tilt its position.
+    """
+    d, h = misses.d.copy(), misses.h
+    for start, stop in pairwise(edges.tolist()):
+        formed = start + np.flatnonzero(h[start:stop] > 0.0)
+        if not formed.size:
+            continue
+        away = d[formed] - h[formed] * np.median(d[formed] / h[formed])
+        spread = float(np.quantile(np.abs(away), 0.25)) / _NORMAL_QUARTER
+        near = formed[np.abs(away) <= max(_TUKEY * spread, 2.0 * resolution)]
+        d[start:stop] -= d[near].sum() / h[near].sum() * np.maximum(h[start:stop], 0.0)
+    return replace(misses, d=d)
 
 
 def _is_suspicious(fit: Fit) -> bool:

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piga.calibration.model.design import Design
 from piga.calibration.model.reduction import Reduction, triangle
 from piga.calibration.model.solution import Estimate, Layout
 from piga.calibration.weights import Noise, count_of, rate_share, root_mean_square
 from piga.errors import IdentifiabilityError
 from piga.records.calibration.coefficient import Level, Number
 from piga.records.calibration.diagnostics import Diagnostics
-from piga.records.run import Run
 from piga.results import Array
 from piga.units import G0
 
@@ -316,24 +316,31 @@ def _slow_factor(repetitions: Sequence[Repetition], hat: Array, effect: Array, f
     return factor
 
 
-def segment_scatter(positions: Sequence[Repetition], values: Array, noise: Noise, run: Run) -> Diagnostics:
+def segment_scatter(
+    positions: Sequence[Repetition], values: Array, noise: Noise, design: Design
+) -> Diagnostics:
     """Scatter of the mean rates of the positions, over the scatter that the noise explains.
 
     ``values`` (positions, m) are the column coefficients. The ratio is the root mean square of a residual rate over the
-    standard deviation that its rows give it. A scatter of the segments, stated or estimated, adds its own variance. Where the
+    standard deviation that its rows give it; where these are rates, which share their readings, the first and the last reading and
+    the random walk between them give it. A scatter of the segments, stated or estimated, adds its own variance. Where the
     output turns by m counts beside whole ones in each reading, m readings share their rounding.
     """
     if len(positions) < _FEWEST_SEGMENTS or positions[0].block:
         return Diagnostics()
-    m = values.shape[1]
+    m, run = values.shape[1], design.run
     rows = np.array([p.part.factor for p in positions])
     along, missed = rows[:, :, m], rows[:, :, -1] - np.einsum("jkm,jm->jk", rows[:, :, :m], values)
     known, count = (along**2).sum(axis=1), count_of(run)
     if not known.all():
         return Diagnostics()
-    rate, variance = (along * missed).sum(axis=1) / known, 1.0 / known + [p.variance for p in positions]
-    if count > 0.0:
-        edges, duration = run.segment_edges(), np.array([p.end - p.begin for p in positions])
+    duration = np.array([p.end - p.begin for p in positions])
+    rate, variance = (along * missed).sum(axis=1) / known, 1.0 / known
+    if design.mode == "rates":
+        variance = 2.0 * noise.white / duration**2 + noise.walk / duration
+    variance += [p.variance for p in positions]
+    if count > 0.0 and design.mode != "rates":
+        edges = run.segment_edges()
         turned, rows = run.output[edges[1:] - 1] - run.output[edges[:-1]], np.diff(edges)
         beside = np.abs(turned / count - rows * np.round(turned / count / rows))
         variance += min(12.0 * noise.white, count**2) / np.maximum(1.0, beside) / duration**2

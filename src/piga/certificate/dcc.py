@@ -189,6 +189,8 @@ def _compare_trees(stated: etree._Element, again: etree._Element, path: Path, *,
 
     Without ``words`` sentences are not compared: another release of piga may word them otherwise.
     """
+    if any(True for before in (True, False) for _ in stated.itersiblings(preceding=before)):
+        raise DataError(f"{path}: holds comments or instructions, which piga does not write", remedy=_AGAIN)
     for one, other in zip(stated.iter(), again.iter(), strict=False):
         beside = "" if one is stated else (one.tail or "").strip()
         if (one.tag, dict(one.attrib), len(one), beside) != (other.tag, dict(other.attrib), len(other), ""):

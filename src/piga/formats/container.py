@@ -174,6 +174,7 @@ _UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string", "NI_UnitDescripti
 
 def _unit(attributes: Any) -> str:
     given = next((attributes[key] for key in _UNIT_KEYS if key in attributes), "")
+    given = given.item() if isinstance(given, np.ndarray) and given.size == 1 else given
     return given.decode("utf-8", errors="replace") if isinstance(given, bytes) else str(given)
 
 

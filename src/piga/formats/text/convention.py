@@ -127,16 +127,24 @@ def find_format(
 def _row_of(
     wanted: Iterable[str], lines: list[str], skip: int, separator: str | None
 ) -> int | tuple[int, int] | None:
-    """The first row that holds all wanted names, or the two rows over which these stand; None without one."""
+    """The first row that holds all wanted names, or the two rows over which these stand; None without one.
+
+    A row that is no comment goes before one that is.
+    """
+    found: list[int | tuple[int, int]] = []
     for one in [separator] if separator else f"{SEPARATORS} ":
         above: tuple[str, ...] = ()
         for number, line in enumerate(lines[:_MOST_SEARCHED], start=1):
-            names = _head_cells(COMMENT.sub("", line), one)
+            bare = COMMENT.sub("", line)
+            names = _head_cells(bare, one)
             for heads in (names, joined_names(above, names)):
                 if number > skip and wanted and {*wanted} <= {*heads, *units_in_names(heads)[0]}:
-                    return number if heads is names else (number - 1, number)
+                    row = number if heads is names else (number - 1, number)
+                    if bare == line:
+                        return row
+                    found.append(row)
             above = names
-    return None
+    return found[0] if found else None
 
 
 def lines_of(text: str) -> list[str]:
