@@ -308,6 +308,11 @@ def test_a_certificate_without_its_data_is_refused(stated):
         (b"<si:label>k2</si:label>", b"<si:label>k2</si:label>is 3", "label of k2 is not there"),
         (b"<si:label>k2<", b"<si:label>k2<!-- 0 --><", "label of k2 is not there"),
         (b"<si:label>k2<", b"<si:label value='3'>k2<", "label of k2 is not there"),
+        (
+            b"<dcc:digitalCalibrationCertificate",
+            b"<?xml-stylesheet href='x.xsl'?><dcc:digitalCalibrationCertificate",
+            "instructions",
+        ),
         (b"digitalCalibrationCertificate", b"digitalCalibration", "not a Digital Calibration Certificate"),
         (b'schemaVersion="3.3.0"', b'schemaVersion="4.0.0"', "DCC version '4.0.0'"),
         (b"piga_calibrationRecord", b"other", "no calibration record"),

@@ -82,7 +82,7 @@ def test_columns_of_different_length_are_refused(tmp_path: Path, name: str) -> N
 
 
 def test_units_in_the_container_are_checked(tmp_path: Path) -> None:
-    write_h5(tmp_path / "run.h5", columns(), {"fx": "m/s^2"})
+    write_h5(tmp_path / "run.h5", columns(), {"fx": np.array([b"m/s^2"])})
     with pytest.raises(piga.DataError, match=r"column 'fx' has the unit 'm/s\^2' in the file, but 'g'"):
         piga.read_run(write_run(tmp_path, "run.h5"))
     write_tdms(tmp_path / "run.tdms", columns(), {"t": "ms"})

@@ -25,7 +25,7 @@ def columns(count: int = 40, rate: float = 20.0) -> dict[str, np.ndarray]:
     }
 
 
-def write_h5(path: Path, data: dict[str, np.ndarray], units: dict[str, str] | None = None) -> None:
+def write_h5(path: Path, data: dict[str, np.ndarray], units: dict[str, object] | None = None) -> None:
     with h5py.File(path, "w") as out:
         for name, values in data.items():
             packed = {"compression": "gzip", "shuffle": True} if values.dtype.kind in "fi" else {}

@@ -30,6 +30,11 @@ def test_rows_before_the_header(tmp_path: Path, data: str) -> None:
     assert run.row[0] == 5
 
 
+def test_a_comment_that_repeats_the_names_is_no_header(tmp_path: Path) -> None:
+    run = read(tmp_path, "\n".join([f"# {HEADER}", HEADER, *body(), ""]))
+    assert (run.size, run.row[0]) == (40, 3)
+
+
 @pytest.mark.parametrize(
     "units", ["s;-;g;g;g", "[s];[-];[g];[g];[g]", "s;;g;g;g", "s;1;g;g;g", '"s";"-";"g";"g";"g"']
 )
