@@ -129,7 +129,7 @@ def test_what_the_disk_refuses_is_no_internal_error(
     def full(*_: object, **__: object) -> None:
         raise OSError(number, "the disk says no", "somewhere")
 
-    monkeypatch.setattr("piga.stand.read_run", full)
+    monkeypatch.setattr("piga.read_run", full)
     write_log(tmp_path, lines())
     assert exit_code("check", write_run(tmp_path)) == 2
     err = capsys.readouterr().err
