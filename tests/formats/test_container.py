@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from datetime import datetime
 from pathlib import Path
 
 import h5py
@@ -87,6 +88,17 @@ def test_units_in_the_container_are_checked(tmp_path: Path) -> None:
         piga.read_run(write_run(tmp_path, "run.h5"))
     write_tdms(tmp_path / "run.tdms", columns(), {"t": "ms"})
     assert columns_stream(tmp_path / "run.tdms", NAMES, None).units == {"t": "ms"}
+
+
+def test_a_date_above_the_table_of_a_sheet_is_not_its_zero(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.append(["made", datetime(2019, 3, 1)])
+    book.active.append(["t", "n"])
+    for k in range(3):
+        book.active.append([datetime(2024, 5, 1, 12, 0, k), k])
+    book.save(tmp_path / "log.xlsx")
+    found = direct(tmp_path / "log.xlsx", ("t", "n"))
+    np.testing.assert_array_equal(found.numbers["t"], 43200.0 + np.arange(3.0))
 
 
 def test_matrices_structs_groups_and_labels(tmp_path: Path) -> None:

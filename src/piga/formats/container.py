@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -328,7 +329,12 @@ class Sheet:
         if path.with_name(f"~${path.name}").exists():
             raise refusal(path, "is open in a spreadsheet program", "close it there, then try again")
         with _library(path, "XLSX", "save it again as .xlsx, without a password"):
-            rows = [[self._text(cell) for cell in row] for row in self._rows(sheet)]
+            cells = list(self._rows(sheet))
+            dates = [(j, cell) for row in cells for j, cell in enumerate(row) if isinstance(cell, datetime)]
+            if dates:  # a date above the table is not that of the rows
+                column = Counter(j for j, _ in dates).most_common(1)[0][0]
+                self._first_day = _midnight(next(cell for j, cell in dates if j == column))
+            rows = [[self._text(cell) for cell in row] for row in cells]
         width = max(map(len, rows), default=0)
         lines = ("\t".join([*row, *[""] * (width - len(row))]) if any(row) else "" for row in rows)
         self.head = "".join(f"{line}\n" for line in lines).encode()
@@ -367,7 +373,7 @@ class Sheet:
             with suppress(ValueError):  # a date and a time as text
                 cell = datetime.fromisoformat(cell.strip())
         if isinstance(cell, datetime):
-            self._first_day = self._first_day or cell.replace(hour=0, minute=0, second=0, microsecond=0)
+            self._first_day = self._first_day or _midnight(cell)
             cell -= self._first_day
         elif isinstance(cell, time):
             cell = timedelta(
@@ -375,6 +381,10 @@ class Sheet:
             )
         cell = cell.total_seconds() if isinstance(cell, timedelta) else cell
         return _ODD_SIGNS.sub(" ", _label_text(cell))
+
+
+def _midnight(moment: datetime) -> datetime:
+    return moment.replace(hour=0, minute=0, second=0, microsecond=0)
 
 
 CONTAINERS: dict[str, type[Container]] = {
