@@ -221,7 +221,6 @@ def sentence(words: str) -> str:
 
 
 def _moment(seconds: float) -> str:
-    """A time in the zone of this machine."""
     with suppress(OSError, OverflowError, ValueError):
         return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
     return ""
@@ -229,7 +228,6 @@ def _moment(seconds: float) -> str:
 
 @lru_cache(maxsize=1)
 def _templates() -> Any:
-    """The templates. Every value is escaped."""
     import jinja2
 
     made = jinja2.Environment(

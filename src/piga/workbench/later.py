@@ -42,7 +42,6 @@ def _form(
 
 
 def _entries(document: dict[str, Any], path: str = "") -> dict[str, Any]:
-    """The entries of a certificate file by ``table.key``."""
     result: dict[str, Any] = {}
     for name, value in document.items():
         result |= _entries(value, f"{path}{name}.") if isinstance(value, dict) else {f"{path}{name}": value}

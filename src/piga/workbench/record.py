@@ -350,7 +350,6 @@ def _spans(bench: Bench, name: str, sent: Sent) -> tuple[list[tuple[int, int]], 
 
 
 def _trial(bench: Bench, key: str) -> Kept | None:
-    """An answer that is not kept."""
     return bench.folder.kept(bench.folder.root / TRIALS / key)
 
 
